@@ -29,12 +29,12 @@
 //! they become splats again; [`edit`] has what is often done to them:
 //!
 //! ```no_run
-//! use centaur::{edit, format::{WriteOptions, read_scene, write_scene}, glam::{DMat3, DVec3}, scene::Splats};
+//! use centaur::{edit, format::{WriteOptions, read_scene, write_scene}, glam::{DMat3, DVec3}, scene::{Splats, gather}};
 //!
 //! let mut scene = read_scene("scan.ply".as_ref())?;
 //! let splats = std::mem::replace(&mut scene.splats, Splats::empty(0));
 //! let kept = edit::not_below_opacity(&splats, 0.02);
-//! let mut arrays = edit::gather(splats, &kept).into_arrays();
+//! let mut arrays = gather(splats, &kept).into_arrays();
 //! arrays.log_scales.iter_mut().for_each(|log_scale| *log_scale += 1.1_f32.ln());
 //! scene.splats = arrays.check()?;
 //! let scene = edit::Similarity::new(1.0, DMat3::from_rotation_y(0.5), DVec3::ZERO)?.scene(scene)?;

@@ -248,9 +248,7 @@ fn fit(points: &[(f64, f64)]) -> (f64, f64) {
 
 fn memory(adapter: Option<&str>, quick: bool) -> anyhow::Result<Memory> {
     let size = |splats, side: u32, (width, height): (u32, u32), cells: usize| {
-        let texels = side as usize * side as usize;
         let (width, height) = (width as usize, height as usize);
-        let map_floats = 4 * texels + 24 * (texels / 16);
         TrainingSize {
             splats,
             sh_degree: 3,
@@ -258,7 +256,7 @@ fn memory(adapter: Option<&str>, quick: bool) -> anyhow::Result<Memory> {
             poses_move: false,
             triangles: 2 * cells * cells,
             vertices_move: false,
-            map_floats,
+            map_floats: Sheet { cells, side }.map_floats(),
             layers: 1,
             width,
             height,

@@ -2,7 +2,7 @@
 
 use std::f32::consts::TAU;
 
-use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -18,6 +18,17 @@ const FIELD: f64 = 1.2;
 pub(crate) struct Sheet {
     pub(crate) cells: usize,
     pub(crate) side: u32,
+}
+
+/// SH degree of the bands.
+const BAND_DEGREE: u32 = 2;
+
+impl Sheet {
+    /// Floats of both maps.
+    pub(crate) fn map_floats(self) -> usize {
+        let texels = |side: u32| side as usize * side as usize;
+        4 * texels(self.side) + sh::band_floats(BAND_DEGREE) * texels(self.side / 4)
+    }
 }
 
 /// The camera of every scene: at the origin, along z.
@@ -96,6 +107,7 @@ fn mesh(Sheet { cells, side }: Sheet, half: Vec2) -> Mesh {
             .collect();
         Texture::new(side, side, channels as u32, texels).expect("finite, of the right length")
     };
-    let atlas = Atlas::new(texture(side, 4), Some(texture(side / 4, 24))).expect("channels of degree 2");
+    let (base, bands) = (texture(side, 4), texture(side / 4, sh::band_floats(BAND_DEGREE)));
+    let atlas = Atlas::new(base, Some(bands)).expect("channels of degree 2");
     Mesh::new(positions, triangles, corner_uvs, atlas).expect("indices in range")
 }

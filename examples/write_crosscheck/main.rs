@@ -305,7 +305,7 @@ fn quad(center: [f32; 3], u: [f32; 3], v: [f32; 3], size: u32, degree: u32, opac
         [r, g, b, logit]
     };
     let base = Texture::new(size, size, 4, (0..size * size).flat_map(texel).collect())?;
-    let channels = 3 * (sh::coefficients(degree) as u32 - 1);
+    let channels = sh::band_floats(degree) as u32;
     let mut rng = Pcg64Mcg::seed_from_u64(u64::from(size));
     let bands = (degree > 0)
         .then(|| Texture::new(8, 4, channels, (0..32 * channels).map(|_| rng.random_range(-0.3..0.3)).collect()));

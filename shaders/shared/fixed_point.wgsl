@@ -5,14 +5,7 @@
 // one texel than that leaves room for, before a wall in a coarse map or where all corners of triangles have one place there, units are larger
 // by as much (`map_peak`). A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
 // one way: its sums have 64 bits, in two words, the low one first, and hold 2⁴³ terms of any size.
-
-const FIXED_ONE: f32 = 1048576.0;
-const BAND_UNIT: f32 = 8.0;
-
-// Pixels of a texel of the base map, of one that bands have, up to which their sum has room several times over:
-// each layer and each chart that lies on the same texel adds its own. A fragment is crowded if its texel has more.
-const CROWD: f32 = 1024.0;
-const BAND_CROWD: f32 = 2048.0;
+// FIXED_ONE, BAND_UNIT, CROWD and BAND_CROWD come from the host (`FIXED_POINT` in src/render/gpu/shader.rs).
 
 // Words of `peaks`, which `gradient_peak` leaves: 0, bits of the largest gradient of a fragment by what it sees of the map; 1, by its vertices;
 // 2, as 0, each times the pixels of its texel by those that there is room for; 3, how many fragments are crowded. FIXED_ONE units of the maps

@@ -16,7 +16,7 @@ use super::views::{Frame, inside};
 use super::{CaptureError, Listed, LoadOptions, Point, error, images};
 use crate::{
     format::ply,
-    scene::{HALF_TURN, Intrinsics, nearest_rotation},
+    scene::{Intrinsics, frame::OPENGL_FROM_OPENCV, nearest_rotation},
 };
 
 /// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
@@ -152,7 +152,7 @@ pub(super) fn load(
     clouds.dedup();
     let mut points = vec![];
     for (cloud, y_up) in clouds.iter().filter(|_| !options.without_points) {
-        let turn = if *y_up { HALF_TURN } else { DVec3::ONE };
+        let turn = if *y_up { OPENGL_FROM_OPENCV } else { DVec3::ONE };
         points.extend(ply::read_points(cloud)?.into_iter().map(|(p, rgb)| Point { position: turn * p, rgb }));
     }
     let list = files.first().map_or_else(PathBuf::new, |(path, _)| path.clone());

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::distortion::Lens;
 use super::{CaptureError, ImageSource, LoadOptions, View, images};
-use crate::scene::{Camera, HALF_TURN};
+use crate::scene::{Camera, frame};
 
 /// A posed picture as stated by a capture's files.
 #[derive(Clone, Debug)]
@@ -41,7 +41,7 @@ pub(super) struct Frame {
 impl Frame {
     /// The same in the world after half a turn about x.
     pub(super) fn turned(self) -> Self {
-        Self { rotation: self.rotation * DMat3::from_diagonal(HALF_TURN), ..self }
+        Self { rotation: frame::in_turned_world(self.rotation), ..self }
     }
 
     /// Where it stands, with its name.

@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result};
 use centaur::edit::{self, Axes, Crop, Similarity, Volume};
 use centaur::format::gltf::Source;
 use centaur::format::ply::Attribute;
-use centaur::scene::{Camera, HybridScene, Splats};
+use centaur::scene::{self, Camera, HybridScene, Splats};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use serde::Serialize;
 
@@ -128,7 +128,7 @@ impl EditArgs {
             edited.scene = HybridScene { splats, meshes, composition };
         }
         if self.morton {
-            edited.gather(&edit::in_morton_order(&edited.scene.splats));
+            edited.gather(&scene::in_morton_order(&edited.scene.splats));
         }
         Ok(edited)
     }
@@ -166,11 +166,11 @@ impl Edited {
     /// The splats of these indices, with what else is known of them.
     fn gather(&mut self, indices: &[usize]) {
         let splats = std::mem::replace(&mut self.scene.splats, Splats::empty(0));
-        self.scene.splats = edit::gather(splats, indices);
+        self.scene.splats = scene::gather(splats, indices);
         self.attributes.iter_mut().for_each(|a| *a = a.gather(indices));
     }
 
-    fn keep(&mut self, step: &'static str, splats: &[usize], meshes: impl FnOnce(&mut Vec<centaur::scene::Mesh>)) {
+    fn keep(&mut self, step: &'static str, splats: &[usize], meshes: impl FnOnce(&mut Vec<scene::Mesh>)) {
         let triangles = |scene: &HybridScene| scene.meshes.iter().map(|m| m.triangles().len()).sum::<usize>();
         let removed_splats = self.scene.splats.len() - splats.len();
         if removed_splats > 0 {

@@ -16,7 +16,7 @@ pub fn with_sh_degree(splats: Splats, degree: u32) -> Splats {
 pub fn with_mesh_sh_degree(mesh: Mesh, degree: u32) -> Mesh {
     let atlas = mesh.atlas();
     let Some(bands) = atlas.bands().filter(|_| atlas.sh_degree() > degree) else { return mesh };
-    let channels = 3 * (sh::coefficients(degree) - 1);
+    let channels = sh::band_floats(degree);
     let kept = (channels > 0).then(|| {
         let rows = bands.texels().chunks_exact(bands.channels() as usize);
         let texels = rows.flat_map(|texel| texel[..channels].iter().copied()).collect();

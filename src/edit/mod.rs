@@ -1,7 +1,7 @@
 //! From a scene to another: moving, filtering, thinning, joining. Pure functions in linear or n·log n time; nothing
 //! depends on the number of threads.
 //!
-//! Whatever chooses among splats returns their indices, to be taken with [`gather`]: what a file says about its splats
+//! Whatever chooses among splats returns their indices, to be taken with [`gather`](crate::scene::gather): what a file says about its splats
 //! besides their parameters can follow them.
 
 mod axes;
@@ -15,5 +15,3 @@ pub use axes::Axes;
 pub use join::{join, with_mesh_sh_degree, with_sh_degree};
 pub use select::{Crop, Volume, crop_mesh, in_crops, most_important, not_below_opacity};
 pub use similarity::Similarity;
-
-pub use crate::scene::{gather, in_morton_order};

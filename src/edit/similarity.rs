@@ -1,7 +1,7 @@
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::scene::{Camera, HALF_TURN, HybridScene, Intrinsics, Mesh, SceneError, Splats, placement};
+use crate::scene::{Camera, HybridScene, Intrinsics, Mesh, SceneError, Splats, frame::OPENGL_FROM_OPENCV, placement};
 
 /// `p' = scale · orthogonal · p + translation`: everything that leaves shapes alone. `orthogonal` may mirror.
 ///
@@ -17,9 +17,9 @@ impl Similarity {
     /// Leaves everything where it is, to the bit.
     pub const IDENTITY: Self = Self { scale: 1.0, orthogonal: DMat3::IDENTITY, translation: DVec3::ZERO };
 
-    /// [`scene::HALF_TURN`](crate::scene::HALF_TURN).
+    /// Half a turn about x, [`OPENGL_FROM_OPENCV`]: from the frame of captures to a world that is y up, as those of glTF and USD are, and back.
     pub const HALF_TURN: Self =
-        Self { scale: 1.0, orthogonal: DMat3::from_diagonal(HALF_TURN), translation: DVec3::ZERO };
+        Self { scale: 1.0, orthogonal: DMat3::from_diagonal(OPENGL_FROM_OPENCV), translation: DVec3::ZERO };
 
     /// Scales and turns (or mirrors) about the origin, then translates.
     ///

@@ -8,7 +8,8 @@ use super::*;
 use crate::render::reference::{Image, Margin, render, render_with_margins};
 use crate::render::testing::{largest, random_scene, smooth_scene};
 use crate::scene::{
-    Atlas, Camera, ColorSpace, Composition, HybridScene, Mesh, OrderMode, PixelFilter, Splats, Texture, sh,
+    Atlas, Camera, ColorSpace, Composition, HybridScene, Mesh, OrderMode, PixelFilter, Splats, Texture, gather,
+    in_morton_order, sh,
 };
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];

@@ -1,6 +1,6 @@
 //! Between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats store.
 
-use crate::scene::{Mesh, sigmoid};
+use crate::scene::{self, Mesh, sigmoid};
 
 /// Largest opacity below 1 in f32: its logit is 16.6. Smallest: that of the smallest normal f32, −87.
 const OPACITY_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, 1.0 - f32::EPSILON as f64 / 2.0];
@@ -16,7 +16,7 @@ pub(super) fn opacity(logit: f32) -> f32 {
 pub(super) fn logit(opacity: f32) -> (f32, bool) {
     let [low, high] = OPACITY_RANGE;
     let clamped = f64::from(opacity).clamp(low, high);
-    ((clamped / (1.0 - clamped)).ln() as f32, clamped != f64::from(opacity))
+    (scene::logit(clamped) as f32, clamped != f64::from(opacity))
 }
 
 /// As [`logit`], of a texel of a map, between ±16.6. Maps are filtered and averaged as logits: were the least further from 0 than the largest,

@@ -278,6 +278,11 @@ pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatE
     Ok(BufReader::with_capacity(1 << 18, file))
 }
 
+/// Length of the file alone.
+pub(crate) fn file_bytes(path: &Path) -> Result<u64, FormatError> {
+    Ok(path.metadata().map_err(|source| FormatError::Read { file: path.to_owned(), source })?.len())
+}
+
 /// The whole file in memory. Its length bounds every count that the file declares.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, FormatError> {
     let mut bytes = vec![];

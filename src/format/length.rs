@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::error::file_bytes;
 use super::gltf::{self, Asset};
 use super::{FormatError, Kind, kind, sog, usd};
 
@@ -19,11 +20,6 @@ pub fn stored_bytes(path: &Path) -> Result<u64, FormatError> {
         Kind::Usd => own + usd::bytes_beside(path)?,
         Kind::Ksplat | Kind::Ply | Kind::Splat | Kind::Spz => own,
     })
-}
-
-/// Length of the file alone.
-pub(super) fn file_bytes(path: &Path) -> Result<u64, FormatError> {
-    Ok(std::fs::metadata(path).map_err(|source| FormatError::Read { file: path.to_owned(), source })?.len())
 }
 
 #[cfg(test)]

@@ -34,7 +34,7 @@ pub(super) fn random_mesh(degree: u32, seed: u64) -> Mesh {
         Texture::new(w, h, channels, (0..w * h * channels).map(|_| r(-4.0, 4.0)).collect()).unwrap()
     };
     let base = texture(8, 16, 4);
-    let bands = (degree > 0).then(|| texture(4, 2, 3 * (sh::coefficients(degree) as u32 - 1)));
+    let bands = (degree > 0).then(|| texture(4, 2, sh::band_floats(degree) as u32));
     Mesh::new(positions, triangles, uvs, Atlas::new(base, bands).unwrap()).unwrap()
 }
 

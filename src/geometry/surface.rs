@@ -3,6 +3,8 @@ use std::collections::{HashMap, HashSet};
 use glam::{DVec3, Vec3};
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 
+use crate::scene::without_unused;
+
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
 /// outside. Unchecked: unwrapping refuses triangles with an index out of range, tidying drops them; other functions ask for indices in range, and
 /// panic without.
@@ -111,16 +113,9 @@ pub fn compact(surface: Surface) -> Surface {
 }
 
 /// Also which vertices are left.
-fn compacted(surface: Surface) -> (Surface, Vec<bool>) {
-    let mut used = vec![false; surface.positions.len()];
-    surface.triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
-    let (mut compact, mut renamed): (Surface, Vec<u32>) = Default::default();
-    for (position, used) in surface.positions.into_iter().zip(&used) {
-        renamed.push(compact.positions.len() as u32);
-        compact.positions.extend(used.then_some(position));
-    }
-    compact.triangles = surface.triangles.into_iter().map(|t| t.map(|v| renamed[v as usize])).collect();
-    (compact, used)
+fn compacted(mut surface: Surface) -> (Surface, Vec<bool>) {
+    let (positions, used) = without_unused(&surface.positions, &mut surface.triangles);
+    (Surface { positions, ..surface }, used)
 }
 
 /// `[N]` Of every point the first that is at the very same place, by its index.

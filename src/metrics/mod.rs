@@ -22,8 +22,6 @@ pub use picture::side_by_side;
 pub use psnr::{psnr, quantised, to_rgb8};
 pub use ssim::{ssim_inria, ssim_reflect, ssim_valid};
 
-pub use crate::scene::color::to_byte;
-
 /// Two images that cannot be compared.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]

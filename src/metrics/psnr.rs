@@ -1,6 +1,7 @@
 use image::{Rgb32FImage, RgbImage};
 
-use super::{MetricError, check_least, check_same_size, to_byte};
+use super::{MetricError, check_least, check_same_size};
+use crate::scene::color::to_byte;
 
 /// Peak signal-to-noise ratio in dB, −10·log₁₀ of the mean squared error over all pixels and channels (peak 1).
 /// Infinite for equal images, NaN if a value is NaN.

@@ -2,12 +2,12 @@
 
 use glam::{DQuat, Vec3};
 
-use crate::render::{
-    contract,
-    gpu::{
+use crate::{
+    render::gpu::{
         rows::Source,
         state::{GEOMETRY_FLOATS, LOG_SCALE, MEAN, OPACITY, ROTATION, SMOOTHING, geometry_not_finite, sigmoid},
     },
+    scene::{keep_rows, smoothed},
 };
 
 /// Splats by what decides about them, their geometry, and of which splat each takes the rest: SH coefficients and moments of Adam, 14 of 15
@@ -50,8 +50,9 @@ impl Arrangement {
     /// If `keep` has not one entry per splat.
     pub(super) fn retain(&mut self, keep: &[bool]) {
         assert_eq!(keep.len(), self.len(), "one entry per splat");
-        retain_rows(&mut self.geometry, GEOMETRY_FLOATS, keep);
-        retain_rows(&mut self.sources, 1, keep);
+        let kept: Vec<usize> = (0..keep.len()).filter(|&i| keep[i]).collect();
+        keep_rows(&mut self.geometry, GEOMETRY_FLOATS, kept.iter().copied());
+        keep_rows(&mut self.sources, 1, kept.into_iter());
     }
 
     /// Appends a copy of splat `i` with moments of zero: what it has learnt of its gradients is not the copy's, which
@@ -119,7 +120,7 @@ impl Arrangement {
     #[must_use]
     pub(super) fn smoothing_factor(&self, i: usize) -> f32 {
         let row = self.row(i);
-        contract::smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
+        smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
     }
 
     /// Opacity of splat `i` as it is seen: smoothed.
@@ -158,16 +159,6 @@ impl Arrangement {
     pub(super) fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         geometry_not_finite(&self.geometry)
     }
-}
-
-/// Drops the rows, of `width` elements each, for which `keep` is false.
-fn retain_rows<T: Copy>(rows: &mut Vec<T>, width: usize, keep: &[bool]) {
-    let mut kept = 0;
-    for (i, _) in keep.iter().enumerate().filter(|(_, keep)| **keep) {
-        rows.copy_within(i * width..(i + 1) * width, kept * width);
-        kept += 1;
-    }
-    rows.truncate(kept * width);
 }
 
 #[cfg(test)]

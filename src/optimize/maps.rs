@@ -36,11 +36,44 @@ pub(super) fn textured_as(
 }
 
 /// Side of a texel of the map of higher bands, in texels of the base map.
-pub(super) const BAND_TEXEL: u32 = 4;
+const BAND_TEXEL: u32 = 4;
 
-/// Side of the map of higher bands beside a base map of `texture_size` texels a side: 16 at least.
-pub(super) fn band_side(texture_size: u32) -> u32 {
-    (texture_size / BAND_TEXEL).max(16)
+/// The maps of a mesh: their size, and what they show.
+#[derive(Clone, Copy)]
+pub(super) struct MapLayout {
+    /// Texels of a side of the base map.
+    pub(super) side: u32,
+    /// SH degree of the map of higher bands; with 0 there is none.
+    pub(super) degree: u32,
+}
+
+impl MapLayout {
+    pub(super) fn of(options: &TrainOptions, side: u32) -> Self {
+        Self { side, degree: options.band_degree.min(sh::MAX_DEGREE) }
+    }
+
+    /// Side of the map of higher bands: 16 at least.
+    pub(super) fn band_side(self) -> u32 {
+        (self.side / BAND_TEXEL).max(16)
+    }
+
+    /// Floats of the base map and of that of higher bands.
+    pub(super) fn floats(self) -> [usize; 2] {
+        let texels = |side: u32| side as usize * side as usize;
+        [4 * texels(self.side), sh::band_floats(self.degree) * texels(self.band_side())]
+    }
+
+    /// Floats of both to a texel of the base map; of all but the smallest, see [`Self::band_side`].
+    pub(super) fn floats_per_texel(self) -> f64 {
+        4.0 + sh::band_floats(self.degree) as f64 / f64::from(BAND_TEXEL.pow(2))
+    }
+
+    /// Maps of zeros.
+    fn zeros(self) -> Result<Atlas, TrainError> {
+        let square = |side: u32, channels: usize| Texture::zeros(side, side, channels as u32);
+        let bands = (self.degree > 0).then(|| square(self.band_side(), sh::band_floats(self.degree)));
+        Ok(Atlas::new(square(self.side, 4), bands)?)
+    }
 }
 
 /// A mesh with empty maps (zeros, as in HERA): opacity one half, grey.
@@ -50,11 +83,6 @@ pub(super) fn textured(
     options: &TrainOptions,
     texture_size: u32,
 ) -> Result<Mesh, TrainError> {
-    let degree = options.band_degree.min(sh::MAX_DEGREE);
-    let bands = (degree > 0).then(|| {
-        let side = band_side(texture_size);
-        Texture::zeros(side, side, 3 * (sh::coefficients(degree) as u32 - 1))
-    });
-    let atlas = Atlas::new(Texture::zeros(texture_size, texture_size, 4), bands)?;
+    let atlas = MapLayout::of(options, texture_size).zeros()?;
     Ok(Mesh::new(surface.positions, surface.triangles, corner_uvs, atlas)?)
 }

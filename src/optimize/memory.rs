@@ -1,13 +1,13 @@
 //! Whether a run fits the adapter's memory, before it begins.
 
-use super::{Density, MeshSource, TrainError, TrainOptions, maps};
+use super::{Density, MeshSource, TrainError, TrainOptions, maps::MapLayout};
 use crate::{
     geometry::Shell,
     render::gpu::{
         Gpu,
         memory::{TrainingSize, training_bytes},
     },
-    scene::{Camera, sh},
+    scene::Camera,
 };
 
 /// Most bytes of photographs that stay on the adapter.
@@ -29,14 +29,14 @@ pub(super) fn check(
 ) -> Result<u64, TrainError> {
     let hybrid = size(options, cameras, source, max_splats, texture_size);
     // The longest buffers. Splats are limited to what can be bound.
-    let [base, bands] = map_floats(options, texture_size).map(|floats| floats as u64 * 341 / 256);
+    let [base, bands] = MapLayout::of(options, texture_size).floats().map(|floats| floats as u64 * 341 / 256);
     let area = |c: &Camera| c.intrinsics().pixels() as u64;
     let pixels = cameras.iter().map(area).max().unwrap_or(1);
     if hybrid.layers > 0 {
         gpu.ensure_bindable("the map of colour and opacity", 4 * base)?;
         gpu.ensure_bindable("the map of view dependence", 4 * bands)?;
         // Two floats for one of a map, but none for its coarser levels.
-        let longest = map_floats(options, texture_size).into_iter().max().unwrap_or(0) as u64;
+        let longest = MapLayout::of(options, texture_size).floats().into_iter().max().unwrap_or(0) as u64;
         gpu.ensure_bindable("the moments of a map", 8 * longest)?;
         gpu.ensure_bindable("the mesh layers of an image", 16 * (hybrid.layers as u64 + 1) * pixels)?;
     }
@@ -73,7 +73,7 @@ fn size(
         poses_move: options.refine_poses,
         triangles,
         vertices_move: source.is_found(),
-        map_floats: if has_mesh { map_floats(options, texture_size).iter().sum() } else { 0 },
+        map_floats: if has_mesh { MapLayout::of(options, texture_size).floats().iter().sum() } else { 0 },
         layers: if has_mesh { options.layers as usize } else { 0 },
         width,
         height,
@@ -102,14 +102,7 @@ fn needed(hybrid: &TrainingSize, texture_size: u32) -> (String, u64) {
 pub(super) fn texture_size_within(options: &TrainOptions, wanted: u32, floats: usize) -> u32 {
     let smaller = (1..=wanted / 32).rev().map(|n| 32 * n);
     let mut sizes = std::iter::once(wanted).chain(smaller);
-    sizes.find(|&size| map_floats(options, size).iter().sum::<usize>() <= floats).unwrap_or(16)
-}
-
-/// Floats of the two maps that `maps::textured` makes.
-fn map_floats(options: &TrainOptions, texture_size: u32) -> [usize; 2] {
-    let texels = |side: u32| side as usize * side as usize;
-    let bands = 3 * (sh::coefficients(options.band_degree.min(sh::MAX_DEGREE)) - 1);
-    [4 * texels(texture_size), bands * texels(maps::band_side(texture_size))]
+    sizes.find(|&size| MapLayout::of(options, size).floats().iter().sum::<usize>() <= floats).unwrap_or(16)
 }
 
 #[cfg(test)]
@@ -117,7 +110,7 @@ mod tests {
     use glam::{DMat3, DVec3, Vec3};
 
     use super::*;
-    use crate::{geometry::Surface, scene::Intrinsics};
+    use crate::{geometry::Surface, optimize::maps, scene::Intrinsics};
 
     fn camera(width: u32, height: u32) -> Camera {
         let focal = f64::from(width);
@@ -133,7 +126,7 @@ mod tests {
             let options = TrainOptions { band_degree, ..TrainOptions::default() };
             let mesh =
                 maps::textured_as(crate::geometry::unwrap(&surface, None, side, 0).unwrap(), &options, side).unwrap();
-            assert_eq!(map_floats(&options, side).iter().sum::<usize>(), mesh.atlas().floats());
+            assert_eq!(MapLayout::of(&options, side).floats().iter().sum::<usize>(), mesh.atlas().floats());
         }
     }
 

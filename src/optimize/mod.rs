@@ -26,7 +26,6 @@ mod seen_points;
 mod size;
 mod static_scene;
 
-pub use crate::render::gpu::memory::most_splats;
 pub use fused::{from_points as surface_from_points, from_splats as surface_from_splats};
 pub use log::{Progress, Selection};
 pub use mesh_source::{MeshSource, SurfaceOrigin};

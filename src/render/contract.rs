@@ -20,7 +20,6 @@
 
 use glam::{DMat2, DVec2, DVec3};
 
-pub use crate::scene::smoothed;
 use crate::scene::{Intrinsics, OrderMode, PixelFilter, sigmoid};
 
 /// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, `cuda_rasterizer/forward.cu`. Where it is

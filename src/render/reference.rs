@@ -23,7 +23,7 @@ pub use order_flips::{OrderFlips, order_flips};
 pub use parameters::{Parameter, Parameters, finite_difference};
 
 use super::contract::{self, MAX_LAYERS, SurfaceDepth};
-use crate::scene::{Camera, HybridScene, sh, sigmoid};
+use crate::scene::{Camera, HybridScene, sh, sigmoid, smoothed};
 
 /// A rendered image, row-major from the top; or, as the input of [`backward`], the derivative of a loss with respect
 /// to each of its numbers.
@@ -121,7 +121,7 @@ pub fn project(scene: &HybridScene, camera: &Camera, parameters: &Parameters, i:
         return None;
     }
     let m = jacobian(camera, mean) * camera.rotation();
-    let (scale, smooth_opacity) = contract::smoothed(parameters.log_scales[i], parameters.smoothing[i]);
+    let (scale, smooth_opacity) = smoothed(parameters.log_scales[i], parameters.smoothing[i]);
     let n = rotation(parameters.rotations[i]) * DMat3::from_diagonal(scale);
     let filter = scene.composition.pixel_filter;
     let projected = DMat2::from_mat3(m * n * n.transpose() * m.transpose());

@@ -79,8 +79,8 @@ fn random_atlas(rng: &mut Pcg64Mcg, sh_degree: u32, opacity_logit: f32) -> Atlas
     let mut size = || [0; 2].map(|_| [32, 48, 64][rng.random_range(0..3)]);
     let (base_size, band_size) = (size(), size().map(|s| s / 2));
     let base = random_texture(rng, base_size, 4, 0.8, |c| if c == 3 { opacity_logit } else { 0.0 });
-    let bands = (sh_degree > 0)
-        .then(|| random_texture(rng, band_size, 3 * (sh::coefficients(sh_degree) as u32 - 1), 0.1, |_| 0.0));
+    let bands =
+        (sh_degree > 0).then(|| random_texture(rng, band_size, sh::band_floats(sh_degree) as u32, 0.1, |_| 0.0));
     Atlas::new(base, bands).unwrap()
 }
 

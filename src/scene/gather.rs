@@ -17,6 +17,19 @@ pub fn gather(splats: Splats, indices: &[usize]) -> Splats {
     s.check().expect("copies of valid splats are valid")
 }
 
+/// Leaves the rows of these indices, which ascend, of `width` elements each.
+///
+/// # Panics
+/// If an index is out of range.
+pub(crate) fn keep_rows<T: Copy>(rows: &mut Vec<T>, width: usize, ascending: impl Iterator<Item = usize>) {
+    let mut kept = 0;
+    for row in ascending {
+        rows.copy_within(row * width..(row + 1) * width, kept * width);
+        kept += 1;
+    }
+    rows.truncate(kept * width);
+}
+
 /// Indices, and what they allow to do in place.
 enum Order<'a> {
     Ascending(&'a [usize]),
@@ -39,8 +52,7 @@ impl<'a> Order<'a> {
         let row = |i: usize| i * width..(i + 1) * width;
         match *self {
             Self::Ascending(indices) => {
-                indices.iter().enumerate().for_each(|(to, &from)| rows.copy_within(row(from), to * width));
-                rows.truncate(indices.len() * width);
+                keep_rows(rows, width, indices.iter().copied());
                 rows.shrink_to_fit();
             }
             Self::Permutation(indices) => {

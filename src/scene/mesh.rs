@@ -112,8 +112,8 @@ impl Atlas {
         }
         let sh_degree = match bands.as_ref().map(Texture::channels) {
             None => 0,
-            Some(c) => (1..=sh::MAX_DEGREE)
-                .find(|&d| c as usize == 3 * (sh::coefficients(d) - 1))
+            Some(c) => sh::degree_of_band_floats(c as usize, sh::MAX_DEGREE)
+                .filter(|degree| *degree > 0)
                 .ok_or_else(|| SceneError::new("band channels", "9, 24 or 45", c.to_string()))?,
         };
         Ok(Self { base, bands, sh_degree })
@@ -232,14 +232,23 @@ impl Mesh {
         if triangles.is_empty() {
             return None;
         }
-        let mut used = vec![false; self.positions.len()];
-        triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
-        let (mut positions, mut renamed): (Vec<Vec3>, Vec<u32>) = (vec![], vec![]);
-        for (&position, used) in self.positions.iter().zip(used) {
-            renamed.push(positions.len() as u32);
-            positions.extend(used.then_some(position));
-        }
-        triangles.as_flattened_mut().iter_mut().for_each(|v| *v = renamed[*v as usize]);
+        let (positions, _) = without_unused(&self.positions, &mut triangles);
         Some(Self { positions, triangles, corner_uvs, atlas: self.atlas.clone() })
     }
+}
+
+/// The vertices that a triangle uses, in their order, and which these are. Triangles then have the new indices.
+///
+/// # Panics
+/// If an index is out of range.
+pub(crate) fn without_unused(positions: &[Vec3], triangles: &mut [[u32; 3]]) -> (Vec<Vec3>, Vec<bool>) {
+    let mut used = vec![false; positions.len()];
+    triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+    let (mut kept, mut renamed): (Vec<Vec3>, Vec<u32>) = (vec![], vec![]);
+    for (&position, used) in positions.iter().zip(&used) {
+        renamed.push(kept.len() as u32);
+        kept.extend(used.then_some(position));
+    }
+    triangles.as_flattened_mut().iter_mut().for_each(|v| *v = renamed[*v as usize]);
+    (kept, used)
 }

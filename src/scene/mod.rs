@@ -7,6 +7,7 @@
 mod camera;
 pub mod color;
 mod composition;
+pub mod frame;
 mod gather;
 mod mesh;
 mod morton;
@@ -17,13 +18,14 @@ pub mod sh;
 mod smoothing;
 mod splats;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 pub(crate) use camera::nearest_rotation;
 pub use camera::{Camera, Intrinsics};
 pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
 pub use gather::gather;
+pub(crate) use gather::keep_rows;
+pub(crate) use mesh::without_unused;
 pub use mesh::{Atlas, Mesh, Texture};
 pub use morton::in_morton_order;
 pub(crate) use optical_axes::OpticalAxes;
@@ -34,13 +36,16 @@ pub use splats::{SplatArrays, Splats};
 /// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e18;
 
-/// Half a turn about x, by its factors: from the frame of captures to a world that is y up, as those of glTF and USD are, and back.
-pub const HALF_TURN: DVec3 = DVec3::new(1.0, -1.0, -1.0);
-
 /// 1/(1+e⁻ˣ): from a logit, as opacities are kept, to an opacity.
 #[must_use]
 pub fn sigmoid(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// Inverse of [`sigmoid`]: infinite for 0 and 1.
+#[must_use]
+pub fn logit(opacity: f64) -> f64 {
+    (opacity / (1.0 - opacity)).ln()
 }
 
 /// Splats, meshes and the rule by which they are blended.

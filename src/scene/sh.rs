@@ -18,6 +18,19 @@ pub const fn coefficients(degree: u32) -> usize {
     terms.saturating_mul(terms)
 }
 
+/// Floats of the coefficients above the zeroth in three channels: 3·((d+1)²−1), with 0, 9, 24 and 45 for the degrees up to [`MAX_DEGREE`]. Where
+/// the number has no room, the largest there is.
+#[must_use]
+pub const fn band_floats(degree: u32) -> usize {
+    (coefficients(degree) - 1).saturating_mul(3)
+}
+
+/// Inverse of [`band_floats`], of degrees up to `largest`.
+#[must_use]
+pub fn degree_of_band_floats(floats: usize, largest: u32) -> Option<u32> {
+    (0..=largest).find(|&degree| band_floats(degree) == floats)
+}
+
 /// The 16 basis functions at unit direction `d`, ordered by band and then by m = −l..l.
 #[must_use]
 pub fn basis(d: [f64; 3]) -> [f64; 16] {
@@ -54,4 +67,17 @@ pub fn dc_from_rgb(rgb: [f32; 3]) -> [f32; 3] {
 #[must_use]
 pub fn rgb_from_dc(dc: [f32; 3]) -> [f32; 3] {
     dc.map(|c| (0.5 + C0 * f64::from(c)) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_tell_their_degree() {
+        assert_eq!([0, 1, 2, 3, 4].map(band_floats), [0, 9, 24, 45, 72]);
+        assert_eq!([0, 9, 45, 72].map(|n| degree_of_band_floats(n, MAX_DEGREE)), [Some(0), Some(1), Some(3), None]);
+        assert_eq!([72, 10].map(|n| degree_of_band_floats(n, MAX_DEGREE + 1)), [Some(4), None]);
+        assert_eq!(band_floats(u32::MAX), usize::MAX);
+    }
 }

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use crate::common::{self, stderr};
-use centaur::edit::{self, Similarity};
+use centaur::edit::Similarity;
 use centaur::format::{self, WriteOptions, gltf, ply};
-use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, in_morton_order, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 /// `n` splats that all differ, along the diagonal from (0, 0, 0) to (n−1, n−1, n−1).
@@ -264,7 +264,7 @@ fn filters_apply_in_one_order_whatever_the_order_of_options() {
     assert_eq!(b, c);
     let kept = ply::read(&folder.path().join("b.ply")).unwrap();
     assert!(kept.opacity_logits().iter().all(|&l| l >= (0.3_f32 / 0.7).ln()));
-    assert_eq!(edit::in_morton_order(&kept), (0..kept.len()).collect::<Vec<_>>());
+    assert_eq!(in_morton_order(&kept), (0..kept.len()).collect::<Vec<_>>());
 }
 
 #[test]

@@ -48,7 +48,7 @@ fn mesh(degree: u32, seed: u64) -> Mesh {
     let mut texture =
         |w: u32, h: u32, n: u32| Texture::new(w, h, n, (0..w * h * n).map(|_| r(-3.0, 3.0)).collect()).unwrap();
     let base = texture(8, 16, 4);
-    let bands = (degree > 0).then(|| texture(4, 2, 3 * (sh::coefficients(degree) as u32 - 1)));
+    let bands = (degree > 0).then(|| texture(4, 2, sh::band_floats(degree) as u32));
     Mesh::new(positions, triangles, uvs, Atlas::new(base, bands).unwrap()).unwrap()
 }
 

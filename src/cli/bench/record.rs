@@ -4,36 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize as _;
 use serde_json::Value;
 
-use super::jobs::{self, Job, Protocol};
-
-/// How a result was made.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Made {
-    pub(super) variant: String,
-    pub(super) scene: String,
-    pub(super) seed: u64,
-    /// See [`centaur::capture::fingerprint`].
-    #[serde(default)]
-    pub(super) capture: Option<u32>,
-    /// Of `centaur train`, for the scene.
-    #[serde(default)]
-    pub(super) scene_flags: Vec<String>,
-    /// Of `centaur train`, for all scenes of the variant, without those that every job has and those of the protocol.
-    pub(super) flags: Vec<String>,
-    pub(super) protocol: Option<Protocol>,
-    /// Jobs that shared the machine; 0 if that is unknown, or was not the same in all runs of this one. Only the times of 1 are times of a job.
-    pub(super) at_a_time: usize,
-}
-
-impl Made {
-    /// Where the result is, in the folder of all.
-    pub(super) fn place(&self) -> PathBuf {
-        Path::new(&self.variant).join(format!("{}-{}.json", self.scene, self.seed))
-    }
-}
+use super::jobs::{self, Job, Made, Protocol};
 
 /// A job that is done.
 #[derive(Clone, Debug)]

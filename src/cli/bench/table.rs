@@ -9,9 +9,9 @@ use centaur::format::one_line;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::jobs::{self, Protocol};
+use super::jobs::{self, Made, Protocol};
 use super::published::{self, Known};
-use super::record::{self, Made, Record};
+use super::record::{self, Record};
 
 /// One scene, or the mean of a variant's scenes.
 #[derive(Clone, Debug, Default, Serialize)]

@@ -16,8 +16,8 @@ use indicatif::ProgressStyle;
 use serde_json::Value;
 
 use super::Args;
-use super::jobs::{self, Job};
-use super::record::{self, Made};
+use super::jobs::{self, Job, Made};
+use super::record;
 use crate::cli::{interrupt, output};
 
 /// How a job ended that did not fail.
@@ -99,7 +99,7 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
 /// Before the number of jobs at a time in the first line of a lock.
 const AT_A_TIME: &str = "jobs at a time: ";
 
-/// One training, unless somebody else is at it. `at_a_time` as in [`super::record::Made`], of this run of the job.
+/// One training, unless somebody else is at it. `at_a_time` as in [`Made`], of this run of the job.
 fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if let Some(folder) = job.result.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;

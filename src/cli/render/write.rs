@@ -4,9 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use centaur::format::{self, Channel, ExrCompression, ExrHeader, SampleType};
-use centaur::metrics::to_byte;
 use centaur::render::gpu::{LayeredPicture, Picture};
-use centaur::scene::color::{linear_to_srgb, srgb_to_linear};
+use centaur::scene::color::{linear_to_srgb, srgb_to_linear, to_byte};
 use centaur::scene::{Camera, ColorSpace, Composition};
 use image::{RgbImage, RgbaImage};
 

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use centaur::atomic::folder_of;
 use centaur::capture::Capture;
-use centaur::optimize::{self, RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
-use centaur::render::gpu::Gpu;
+use centaur::optimize::{RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
+use centaur::render::gpu::{Gpu, memory::most_splats};
 use centaur::scene::Camera;
 use glam::DVec3;
 use image::ImageFormat;
@@ -75,7 +75,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .chain(not_listed(args, capture))
         .chain(large)
         .chain(lies(args, capture));
-    let most = optimize::most_splats(gpu, args.sh_degree);
+    let most = most_splats(gpu, args.sh_degree);
     // Few runs come to what nobody has asked for: those are told at the end.
     let asks = args.max_splats.is_some_and(|asked| asked > most);
     let too_many = asks.then(|| {
@@ -152,7 +152,7 @@ fn shows_motion(capture: &Capture) -> bool {
 /// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.
 pub(super) fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
     let grown = trained.scene.splats.len() + trained.occluded_splats;
-    if grown >= optimize::most_splats(gpu, args.sh_degree) {
+    if grown >= most_splats(gpu, args.sh_degree) {
         return Some(format!("{grown} splats are all that {} binds: on another there might be more", gpu.adapter()));
     }
     let most = args.max_splats.unwrap_or(TrainOptions::MOST_SPLATS);
@@ -220,7 +220,7 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
 mod tests {
     use centaur::edit::Axes;
     use centaur::render::gpu::GpuError;
-    use centaur::scene::{HALF_TURN, Intrinsics};
+    use centaur::scene::{Intrinsics, frame::OPENGL_FROM_OPENCV};
     use clap::Parser as _;
     use glam::DMat3;
 
@@ -250,7 +250,7 @@ mod tests {
                 assert_eq!(up_of(&around(up)), Some((axis, frame)), "{up}");
             }
             let turn = frame.parse::<Axes>().unwrap().to(y_down);
-            assert_eq!((HALF_TURN * (turn * up), turn.determinant()), (DVec3::Y, 1.0), "{axis}");
+            assert_eq!((OPENGL_FROM_OPENCV * (turn * up), turn.determinant()), (DVec3::Y, 1.0), "{axis}");
         }
         let leaning = 50_f64.to_radians();
         for up in [DVec3::NEG_Y, DVec3::new(0.0, -leaning.cos(), leaning.sin())] {

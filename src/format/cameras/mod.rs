@@ -16,11 +16,9 @@ mod transforms;
 use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path};
 
-use glam::DMat3;
-
 use super::error::Fault;
 use super::{FormatError, Kind, gltf, kind, usd};
-use crate::scene::{Camera, HALF_TURN};
+use crate::scene::{Camera, frame};
 
 /// Cameras in the order in which they are shown.
 #[derive(Clone, Debug)]
@@ -104,7 +102,7 @@ impl CameraFile {
 
 /// In the world after half a turn about x.
 fn turned(camera: &Camera) -> Camera {
-    let rotation = camera.rotation() * DMat3::from_diagonal(HALF_TURN);
+    let rotation = frame::in_turned_world(camera.rotation());
     Camera::new(*camera.intrinsics(), rotation, camera.translation()).expect("a rotation, turned, is one")
 }
 

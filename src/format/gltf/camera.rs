@@ -8,7 +8,27 @@ use crate::format::DEFAULT_HEIGHT;
 use crate::format::cameras::short;
 use crate::format::error::from_value;
 use crate::format::placed::{Decomposed, similarity};
-use crate::scene::{Camera, Intrinsics};
+use crate::scene::{Camera, Intrinsics, frame};
+
+/// Cameras with their names.
+pub(super) type Cameras = Vec<(String, Camera)>;
+
+/// Those of the nodes that are `placed`; one that cannot be had is left out, with a note.
+pub(super) fn all(document: &gltf::Document, placed: &[(gltf::Node<'_>, DMat4)], notes: &mut Vec<String>) -> Cameras {
+    let mut cameras = vec![];
+    for (node, transform) in placed {
+        let Some(optics) = node.camera() else { continue };
+        let name = name(node, cameras.len());
+        match read(document, optics.index(), *transform) {
+            Ok((camera, note)) => {
+                notes.extend(note.map(|note| format!("/nodes/{}: {note}", node.index())));
+                cameras.push((name, camera));
+            }
+            Err(reason) => notes.push(format!("/nodes/{}: camera left out: {reason}", node.index())),
+        }
+    }
+    cameras
+}
 
 /// What a camera at a node is called; `nth` of those that are read, from 0, if nobody says.
 pub(super) fn name(node: &gltf::Node<'_>, nth: usize) -> String {
@@ -25,8 +45,7 @@ pub(super) fn read(
     let camera = document.as_json().cameras.get(index).ok_or("no such camera")?;
     let Decomposed { rotation, translation, .. } =
         similarity(transform).ok_or("its node shears, mirrors or stretches")?;
-    let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();
-    let pose = (to_camera, -(to_camera * translation));
+    let pose = frame::camera_of_node(rotation, translation);
 
     let why = match exact(camera) {
         None => "without an image size".to_owned(),

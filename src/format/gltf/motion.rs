@@ -14,10 +14,10 @@ use super::camera;
 use super::extension::EXTRAS;
 use super::lift::Asset;
 use super::shot::{FPS, is_marked};
-use super::transform::{FLIP, is_ours, local, placements, placements_by, unit};
+use super::transform::{is_ours, local, placements, placements_by, unit};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, Sampling, chosen};
 use crate::format::error::Fault;
-use crate::scene::Camera;
+use crate::scene::{Camera, frame::HALF_TURN};
 
 /// Names of animations that an error lists.
 const MOST_NAMES: usize = 8;
@@ -41,7 +41,7 @@ pub(super) fn cameras(
         parents.extend(node.children().map(|child| (child.index(), node.index())));
     }
     let is_ours = is_ours(document);
-    let frame = if is_ours { FLIP } else { DMat4::IDENTITY };
+    let frame = if is_ours { HALF_TURN } else { DMat4::IDENTITY };
     let (mut found, mut notes, mut taken) = (vec![], vec![], Frames::default());
     // First and last key of what moves a node, by itself or by one above; parents come before their children.
     let mut ranges: HashMap<usize, (f64, f64)> = HashMap::new();

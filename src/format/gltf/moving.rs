@@ -2,9 +2,9 @@
 
 use glam::DMat4;
 
+use super::camera::{self, Cameras};
 use super::motion::{self, Clip, Motion};
 use super::pose::Poses;
-use super::read;
 use super::transform::placements_by;
 use crate::format::cameras::{CameraFile, Sampling};
 use crate::format::error::Fault;
@@ -72,11 +72,11 @@ impl Moving {
     }
 
     /// The cameras at a time, in seconds, and what is to be said of them.
-    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<(read::Cameras, Vec<String>), Fault> {
+    pub(in crate::format) fn cameras_at(&self, time: f64) -> Result<(Cameras, Vec<String>), Fault> {
         self.motion.check()?;
         let (time, mut notes) = (self.stopped.unwrap_or(time), vec![]);
         let placed = placements_by(&self.document, |node| self.motion.local(node, time))?;
-        Ok((read::cameras(&self.document, &placed, &mut notes), notes))
+        Ok((camera::all(&self.document, &placed, &mut notes), notes))
     }
 
     /// Per bone, the joint of the same skin that is next above it.

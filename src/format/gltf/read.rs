@@ -21,15 +21,12 @@ use crate::format::activation::layers;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::join;
 use crate::scene::rig::{Anchor, AttachedSplats, Rig};
-use crate::scene::{Camera, ColorSpace, Composition, HybridScene, SplatArrays, sh};
+use crate::scene::{ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
 /// A scene as it rests.
 pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
     scene_and_motion(asset, &[]).map(|(file, _)| file)
 }
-
-/// Cameras with their names.
-pub(super) type Cameras = Vec<(String, Camera)>;
 
 /// A scene as it rests, and what moves it: these of its animations, see [`super::super::ReadOptions::animations`].
 pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(SceneFile, Moving), Fault> {
@@ -85,7 +82,7 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     }
     let Finished { meshes, mut rest_surfaces, mut poses, .. } = read;
     poses.compact(&mut rest_surfaces, &mut attached);
-    let cameras = cameras(&asset.document, &placed, &mut notes);
+    let cameras = camera::all(&asset.document, &placed, &mut notes);
     said.take(&mut notes);
     if !is_stated {
         composition.layers = layers(&meshes);
@@ -164,26 +161,6 @@ const BYTES_OF_PART: u64 = 512;
 
 fn bytes_of(part: &SplatArrays) -> u64 {
     BYTES_OF_PART + part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64)
-}
-
-pub(super) fn cameras(
-    document: &gltf::Document,
-    placed: &[(gltf::Node<'_>, DMat4)],
-    notes: &mut Vec<String>,
-) -> Cameras {
-    let mut cameras = vec![];
-    for (node, transform) in placed {
-        let Some(optics) = node.camera() else { continue };
-        let name = camera::name(node, cameras.len());
-        match camera::read(document, optics.index(), *transform) {
-            Ok((camera, note)) => {
-                notes.extend(note.map(|note| format!("/nodes/{}: {note}", node.index())));
-                cameras.push((name, camera));
-            }
-            Err(reason) => notes.push(format!("/nodes/{}: camera left out: {reason}", node.index())),
-        }
-    }
-    cameras
 }
 
 /// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras otherwise.

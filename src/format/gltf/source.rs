@@ -17,12 +17,12 @@ use super::lift::{Asset, give_scene};
 use super::motion::Clip;
 use super::moving::Moving;
 use super::remainder::{Remnant, Role, has_extras, remainder};
-use super::transform::{FLIP, is_ours};
+use super::transform::is_ours;
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
 use crate::format::error::{FormatError, one_line};
 use crate::format::placed::similarity;
-use crate::scene::{Camera, Composition, HybridScene, SceneError};
+use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TURN};
 
 /// The glTF document that a scene was read from. A scene holds what is rendered; animations, skins, morph targets, lights,
 /// materials in full, names, extras and extensions that nobody here knows are in the document alone.
@@ -277,7 +277,7 @@ impl Source {
     /// Puts a node above the scene where it has been moved.
     fn place(&self, root: &mut Value) {
         // Files are y-up. What is ours was turned on reading, what is not will be turned by writing.
-        let above = if self.is_ours { FLIP * self.moved * FLIP } else { FLIP * self.moved };
+        let above = if self.is_ours { HALF_TURN * self.moved * HALF_TURN } else { HALF_TURN * self.moved };
         let Some(s) = similarity(above).filter(|_| !above.abs_diff_eq(DMat4::IDENTITY, 1e-12)) else { return };
         let current = self.scene();
         let scenes = root.get("scenes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);

@@ -7,11 +7,7 @@ use gltf::scene::Transform;
 
 use super::extension::{EXTRAS, ROOT_NODE, VISIBILITY};
 use crate::format::error::Fault;
-
-/// Rotation of the root node of our own files: half a turn about x takes COLMAP's y-down world to glTF's y-up. It is
-/// its own inverse, and exact in floating point.
-pub(super) const FLIP: DMat4 =
-    DMat4::from_cols_array(&[1., 0., 0., 0., 0., -1., 0., 0., 0., 0., -1., 0., 0., 0., 0., 1.]);
+use crate::scene::frame::HALF_TURN;
 
 /// Every visible node that the default scene (else the first) reaches, in document order, with its global transform. In a file
 /// of ours the transform is in the frame of the capture, elsewhere in glTF's.
@@ -82,9 +78,9 @@ fn is_invisible(node: &gltf::Node<'_>) -> bool {
     node.extension_value(VISIBILITY).and_then(|own| own.get("visible")?.as_bool()) == Some(false)
 }
 
-/// From glTF's frame to the one that the scene of a document is read in.
+/// From glTF's frame to the one that the scene of a document is read in: the root node of our own files is turned.
 pub(super) fn frame_of(document: &gltf::Document) -> DMat4 {
-    if is_ours(document) { FLIP } else { DMat4::IDENTITY }
+    if is_ours(document) { HALF_TURN } else { DMat4::IDENTITY }
 }
 
 /// Whether it has our root node: then its frame is that of the capture, else glTF's.

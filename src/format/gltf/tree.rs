@@ -11,8 +11,9 @@ use super::instancing::{Single, copies};
 use super::lift::Asset;
 use super::motion::{Clip, Motion};
 use super::remainder::remainder;
-use super::transform::{FLIP, Placed, all_placements_by, is_ours, local};
+use super::transform::{Placed, all_placements_by, is_ours, local};
 use crate::format::error::Fault;
+use crate::scene::frame::HALF_TURN;
 
 /// What a glTF document is made of.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -79,7 +80,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let mut nodes: Vec<Node> = vec![];
     let mut depths: HashMap<usize, usize> = HashMap::new();
     let is_ours = is_ours(&asset.document);
-    let to_capture = if is_ours { DMat4::IDENTITY } else { FLIP };
+    let to_capture = if is_ours { DMat4::IDENTITY } else { HALF_TURN };
     let single = Single::of(&asset.root);
     for Placed { node, transform, .. } in all_placements_by(&asset.document, local)? {
         let depth = depths.get(&node.index()).copied().unwrap_or(0);

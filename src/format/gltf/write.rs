@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use glam::{DMat3, DQuat, Vec2, Vec3};
+use glam::{DQuat, Vec2, Vec3};
 use image::ExtendedColorType;
 use serde_json::{Value, json};
 
@@ -13,7 +13,7 @@ use super::extension::{
     SceneContract, ShField, Surface, TexelSource, UNLIT, sh_attributes,
 };
 use crate::format::{activation, preview};
-use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, sh};
+use crate::scene::{Atlas, Camera, ColorSpace, HybridScene, Mesh, Splats, Texture, frame, sh};
 
 pub(super) const FLOAT: u32 = 5126;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -323,10 +323,9 @@ pub(super) fn camera_and_node(name: &str, camera: &Camera, near: f32, index: usi
     (optics, node)
 }
 
-/// glTF cameras look along −z with y up; ours along +z with y down.
+/// Rotation of the node that a camera is at.
 pub(super) fn node_rotation(camera: &Camera) -> DQuat {
-    let to_world = camera.rotation().transpose() * DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, -1.0));
-    DQuat::from_mat3(&to_world).normalize()
+    DQuat::from_mat3(&frame::node_of_camera(camera)).normalize()
 }
 
 /// A mesh with one UV per vertex.

@@ -8,11 +8,12 @@ use std::path::Path;
 use glam::Vec3;
 use serde::Serialize;
 
+use super::error::file_bytes;
 use super::gltf::{self, Asset, Sizes, scene_of};
-use super::length::{file_bytes, stored_bytes};
+use super::length::stored_bytes;
 use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, has_extension, kind, ply, read_file, usd};
-use crate::scene::{Camera, Composition, HALF_TURN, HybridScene, Mesh, PixelFilter, Splats};
+use crate::scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, frame::OPENGL_FROM_OPENCV};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -222,7 +223,7 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene, y_up: bool) -> Summary 
 }
 
 fn bounds(points: &[Vec3], y_up: bool) -> [[f32; 3]; 2] {
-    let frame = if y_up { HALF_TURN.as_vec3() } else { Vec3::ONE };
+    let frame = if y_up { OPENGL_FROM_OPENCV.as_vec3() } else { Vec3::ONE };
     // Zero added: no corner is at −0.
     let corner =
         |pick: fn(Vec3, Vec3) -> Vec3| points.iter().map(|&p| frame * p + Vec3::ZERO).reduce(pick).unwrap_or_default();

@@ -166,11 +166,10 @@ fn encode_splat(layout: &Layout, center: Vec3, splat: &SplatRecord, bytes: &mut 
     bytes.extend(color_bytes(splat.sh[0]));
     bytes.push(opacity_byte(splat.opacity_logit));
     let mut bands = [0.0; 24];
-    let kept = sh::coefficients(layout.sh_degree);
-    for (k, coefficient) in splat.sh.iter().enumerate().take(kept).skip(1) {
+    for (k, coefficient) in splat.sh.iter().enumerate().take(sh::coefficients(layout.sh_degree)).skip(1) {
         (0..3).for_each(|channel| bands[sh_place(k, channel)] = coefficient[channel]);
     }
-    for &v in &bands[..3 * (kept - 1)] {
+    for &v in &bands[..sh::band_floats(layout.sh_degree)] {
         match layout.level {
             Level::Float => bytes.extend(v.to_le_bytes()),
             Level::Half => bytes.extend(half(v).to_le_bytes()),

@@ -66,7 +66,7 @@ impl Level {
     /// Bytes of a splat.
     fn splat_bytes(self, sh_degree: u32) -> usize {
         let (component, sh_component) = self.component_bytes();
-        10 * component + 4 + 3 * (crate::scene::sh::coefficients(sh_degree) - 1) * sh_component
+        10 * component + 4 + crate::scene::sh::band_floats(sh_degree) * sh_component
     }
 }
 

@@ -45,10 +45,9 @@ pub fn write_with(
         let expected = format!("{} values of the attribute `{}`", splats.len(), a.name);
         return Err(Fault::whole(expected, a.values.len().to_string()).in_file(path));
     }
-    let bands = sh::coefficients(splats.sh_degree()) - 1;
     let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(str::to_owned).into_iter();
     let names = names
-        .chain((0..3 * bands).map(|i| format!("f_rest_{i}")))
+        .chain((0..sh::band_floats(splats.sh_degree())).map(|i| format!("f_rest_{i}")))
         .chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].map(str::to_owned));
     let names = names.map(|name| ("float", name)).chain(attributes.iter().map(|a| (a.kind.name(), a.name.clone())));
     let properties: String = names.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
@@ -419,8 +418,7 @@ fn rest_columns(element: &Element) -> Vec<Column> {
 
 /// SH degree that has `rest` coefficients above the first, in three channels; one more than a scene holds is known.
 fn degree_of_rest(rest: usize) -> Result<u32, Fault> {
-    (0..=sh::MAX_DEGREE + 1)
-        .find(|&d| rest == 3 * (sh::coefficients(d) - 1))
+    sh::degree_of_band_floats(rest, sh::MAX_DEGREE + 1)
         .ok_or_else(|| Fault::whole("0, 9, 24, 45 or 72 `f_rest` properties", rest.to_string()))
 }
 

@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use serde_json::{Map, json};
 
 use super::codebook::Codebook;
-use super::decode::{ENTRIES_PER_ROW, Field, Meta, Numbers, compress, rotation_texel};
+use super::decode::{ENTRIES_PER_ROW, compress, rotation_texel};
+use super::meta::{Field, Meta, Numbers};
 use super::palette::{Vectors, palette};
 use super::texels::{MAX_SIDE, Texels};
 use crate::format::error::Fault;

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive};
 
-use super::decode::Meta;
-use super::encode::Encoded;
+use super::meta::Meta;
+use super::texels::Texels;
 use crate::atomic::folder_of;
 use crate::format::archive::write_zip;
 use crate::format::error::{Fault, FormatError, from_json, read_file};
@@ -127,13 +127,13 @@ fn folder_bytes(folder: &Path) -> u64 {
     entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
 }
 
-/// Writes all files; returns their length together.
-pub(super) fn write(path: &Path, encoded: &Encoded) -> Result<u64, FormatError> {
+/// Writes all files, images in the order of [`Meta::files`]; returns their length together.
+pub(super) fn write(path: &Path, meta: &Meta, images: &[Texels]) -> Result<u64, FormatError> {
     use rayon::prelude::*;
     let failed = |source| FormatError::Write { file: path.to_owned(), source };
-    let meta = serde_json::to_vec(&encoded.meta).map_err(|e| failed(e.into()))?;
-    let images: Vec<Vec<u8>> = encoded.images.par_iter().map(super::texels::Texels::encode).collect();
-    let names = encoded.meta.files();
+    let names = meta.files();
+    let meta = serde_json::to_vec(meta).map_err(|e| failed(e.into()))?;
+    let images: Vec<Vec<u8>> = images.par_iter().map(Texels::encode).collect();
     let files = names.into_iter().zip(&images).chain([(META, &meta)]);
     if !is_folder(path) {
         return atomic_write_with(path, |out| {

@@ -11,9 +11,8 @@ use super::files::FileSet;
 use super::left_out;
 use crate::atomic::folder_of;
 use crate::format::NotedSplats;
-use crate::format::error::{Fault, FormatError, from_json, read_file, shown};
+use crate::format::error::{Fault, FormatError, file_bytes, from_json, read_file, shown};
 use crate::format::inside::inside;
-use crate::format::length::file_bytes;
 use crate::format::splat_record::SplatRecord;
 use crate::scene::SplatArrays;
 

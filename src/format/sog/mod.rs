@@ -11,6 +11,7 @@ mod decode;
 mod encode;
 mod files;
 mod levels;
+mod meta;
 mod palette;
 #[cfg(test)]
 mod tests;
@@ -107,5 +108,5 @@ pub fn write_with(path: &Path, splats: &Splats, antialiased: bool) -> Result<Wri
         error
     });
     let loss = Loss { max_error: errors.reduce(SplatError::default, SplatError::max), ..Loss::default() };
-    Ok(WriteReport { bytes: files::write(path, &encoded)?, loss, ..WriteReport::default() })
+    Ok(WriteReport { bytes: files::write(path, &encoded.meta, &encoded.images)?, loss, ..WriteReport::default() })
 }

@@ -62,7 +62,7 @@ pub(in crate::format) struct Packed {
 impl Header {
     /// Bytes of the higher bands of one splat.
     pub(super) fn band_bytes(&self) -> usize {
-        3 * (sh::coefficients(self.sh_degree) - 1)
+        sh::band_floats(self.sh_degree)
     }
 
     fn stream_bytes(&self) -> [u64; STREAMS] {

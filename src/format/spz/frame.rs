@@ -3,7 +3,10 @@
 use glam::{DMat3, DVec3, Quat, Vec3};
 
 use crate::format::splat_record::SplatRecord;
-use crate::scene::sh;
+use crate::scene::{
+    frame::{OPENGL_FROM_OPENCV, sh_signs},
+    sh,
+};
 
 /// How the axes of a file become those of a scene: a quarter turn about x where the file has z up, then changes of sign.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,19 +21,15 @@ pub(in crate::format) struct Frame {
 impl Default for Frame {
     /// x right, y up, z backwards.
     fn default() -> Self {
-        Self::new(false, Vec3::new(1.0, -1.0, -1.0))
+        Self::new(false, OPENGL_FROM_OPENCV.as_vec3())
     }
 }
 
 impl Frame {
     fn new(quarter_turn: bool, signs: Vec3) -> Self {
-        // A basis function is even or odd in each axis; its sign shows at any direction where none of them is 0.
-        let d = [0.36, 0.48, 0.8];
-        let mirrored = sh::basis([0, 1, 2].map(|k| d[k] * f64::from(signs[k])));
-        let own = sh::basis(d);
         let turn = DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y);
         let quarter_turn = quarter_turn.then(|| sh::Rotation::new(turn));
-        Self { quarter_turn, signs, sh_signs: std::array::from_fn(|i| (mirrored[i] * own[i]).signum() as f32) }
+        Self { quarter_turn, signs, sh_signs: sh_signs(signs.as_dvec3()) }
     }
 
     /// That of `SPZ_ADOBE_coordinate_system`: 1 to 8 count through left/right, down/up, back/front of x, y, z, the first

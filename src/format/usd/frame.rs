@@ -1,20 +1,14 @@
 //! Half a turn about x: between the capture's world, y down, and the file's, y up. Every value keeps its bits but the
 //! sign, so that the way back is exact.
 
-use glam::{DMat4, Quat, Vec3};
+use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
+use crate::scene::frame::{OPENGL_FROM_OPENCV, sh_signs};
 use crate::scene::{Atlas, HybridScene, Mesh, SceneError, Texture, sh};
 
-/// As a matrix.
-pub(super) const TURN: DMat4 =
-    DMat4::from_cols_array(&[1., 0., 0., 0., 0., -1., 0., 0., 0., 0., -1., 0., 0., 0., 0., 1.]);
-
-/// What it does to the coefficients of `sh::basis`: whether each is even or odd in (y, z).
-pub(super) const SH_SIGNS: [f32; 16] = [1., -1., -1., 1., -1., 1., 1., -1., 1., -1., 1., -1., -1., 1., -1., 1.];
-
 pub(super) fn turned(p: Vec3) -> Vec3 {
-    Vec3::new(p.x, -p.y, -p.z)
+    p * OPENGL_FROM_OPENCV.as_vec3()
 }
 
 /// i·q.
@@ -29,10 +23,10 @@ fn turned_back(q: Quat) -> Quat {
 
 /// Maps of the higher bands.
 pub(super) fn turned_map(bands: &Texture) -> Texture {
-    let channels = bands.channels() as usize;
+    let (channels, signs) = (bands.channels() as usize, sh_signs(OPENGL_FROM_OPENCV));
     let mut texels = bands.texels().to_vec();
     texels.par_chunks_exact_mut(channels).for_each(|texel| {
-        texel.iter_mut().enumerate().for_each(|(c, v)| *v *= SH_SIGNS[(1 + c / 3).min(15)]);
+        texel.iter_mut().enumerate().for_each(|(c, v)| *v *= signs[(1 + c / 3).min(15)]);
     });
     Texture::new(bands.width(), bands.height(), bands.channels(), texels)
         .expect("values that were finite are so with another sign")
@@ -41,11 +35,11 @@ pub(super) fn turned_map(bands: &Texture) -> Texture {
 /// A scene in the file's world, in the capture's.
 pub(super) fn back(scene: HybridScene) -> Result<HybridScene, SceneError> {
     let HybridScene { splats, meshes, composition } = scene;
-    let mut s = splats.into_arrays();
+    let (mut s, signs) = (splats.into_arrays(), sh_signs(OPENGL_FROM_OPENCV));
     s.means.iter_mut().for_each(|p| *p = turned(*p));
     s.rotations.iter_mut().for_each(|q| *q = turned_back(*q));
     s.sh.par_chunks_exact_mut(sh::coefficients(s.sh_degree)).for_each(|coefficients| {
-        coefficients.iter_mut().zip(SH_SIGNS).for_each(|(c, sign)| *c = c.map(|v| v * sign));
+        coefficients.iter_mut().zip(signs).for_each(|(c, sign)| *c = c.map(|v| v * sign));
     });
     let of_mesh = |mesh: &Mesh| {
         let atlas = Atlas::new(mesh.atlas().base().clone(), mesh.atlas().bands().map(turned_map))?;
@@ -61,12 +55,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn signs_are_those_of_the_basis() {
-        let d = glam::DVec3::new(0.3, -0.5, 0.8).normalize();
-        let (here, there) = (sh::basis(d.to_array()), sh::basis([d.x, -d.y, -d.z]));
-        for (k, sign) in SH_SIGNS.iter().enumerate() {
-            assert!((here[k] * f64::from(*sign) - there[k]).abs() < 1e-15, "{k}");
-        }
+    fn rotations_turn_and_come_back() {
         let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
         let q = Quat::from_xyzw(0.1, -0.2, 0.3, 0.9);
         assert_eq!(turned_rotation(q), turn * q);

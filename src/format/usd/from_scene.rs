@@ -1,10 +1,11 @@
 //! A hybrid scene as a layer and the pictures beside it.
 
-use glam::{DMat3, DMat4, DVec3, Mat3, Vec3};
+use glam::{DMat4, Mat3, Vec3};
 
 use super::document::{Entry, Field, Layer, Prim, Value};
 use super::{frame, maps, names};
 use crate::format::activation;
+use crate::scene::frame::{HALF_TURN, OPENGL_FROM_OPENCV, node_of_camera, sh_signs};
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, PixelFilter, Splats, sh};
 
 /// Width of the sensor that cameras are given, 36 mm: USD measures it in tenths of the layer's unit, a metre.
@@ -116,7 +117,8 @@ fn splats(splats: &Splats, space: ColorSpace) -> Prim {
     prim.set("float[]", "opacities", flat(splats.opacity_logits().iter().map(|&l| [activation::opacity(l)])));
     let (degree, k) = (splats.sh_degree(), sh::coefficients(splats.sh_degree()));
     prim.set_uniform("int", "radiance:sphericalHarmonicsDegree", Value::Integers(vec![i64::from(degree)]));
-    let coefficients = splats.sh().iter().enumerate().map(|(i, c)| c.map(|v| v * frame::SH_SIGNS[i % k]));
+    let signs = sh_signs(OPENGL_FROM_OPENCV);
+    let coefficients = splats.sh().iter().enumerate().map(|(i, c)| c.map(|v| v * signs[i % k]));
     prim.set("float3[]", "radiance:sphericalHarmonicsCoefficients", flat(coefficients))
         .with("elementSize", Value::Number(k as f64))
         .with("interpolation", Value::text("vertex"));
@@ -213,9 +215,8 @@ pub(super) fn view(name: &str, identifier: &str, camera: &Camera, near: f32) -> 
     prim.set("token", "projection", Value::text("perspective"));
     prim.set("float", "verticalAperture", float(vertical));
     prim.set("float", "verticalApertureOffset", float((k.cy - 0.5 * height) * vertical / height));
-    // USD's cameras look along −z with y up; ours along +z with y down.
-    let to_world = DMat4::from_mat3(camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)));
-    let to_world = frame::TURN * DMat4::from_translation(camera.center()) * to_world;
+    let turn = DMat4::from_mat3(node_of_camera(camera));
+    let to_world = HALF_TURN * DMat4::from_translation(camera.center()) * turn;
     prim.set("matrix4d", "xformOp:transform", Value::Doubles(to_world.to_cols_array().to_vec()));
     prim.set_uniform("token[]", "xformOpOrder", Value::List(vec![Value::text("xformOp:transform")]));
     let size = vec![i64::from(k.width), i64::from(k.height)];

@@ -5,10 +5,10 @@ use glam::DMat4;
 use super::document::{Field, Layer, Prim, PropertyKind, Value};
 use super::stage::Stage;
 use super::to_scene::{Counts, display_name, is_ours, place_all, units};
-use super::{frame, from_scene, views, xform};
+use super::{from_scene, views, xform};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, NAME, Sampling, chosen};
 use crate::format::error::Fault;
-use crate::scene::{Camera, Composition, HybridScene, Splats};
+use crate::scene::{Camera, Composition, HybridScene, Splats, frame::HALF_TURN};
 
 /// Time codes a second where a layer does not say.
 const DEFAULT_RATE: f64 = 24.0;
@@ -27,7 +27,7 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
     let mut stage = Stage::new(&layer);
     let mut steps = 0_usize;
     let is_ours = is_ours(&stage);
-    let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
+    let to_scene = if is_ours { HALF_TURN } else { DMat4::IDENTITY };
     for placed in place_all(&stage, to_world, &mut Counts::default())? {
         let prim = stage.prims[placed.prim];
         if prim.type_name != "Camera" {

@@ -3,6 +3,8 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
+use glam::DMat4;
+
 use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
 use crate::format::cameras::short;
 use crate::format::error::Fault;
@@ -21,6 +23,13 @@ const LONG_PATH: usize = 1000;
 
 /// Connections that are followed before the value is held to be nowhere.
 const MAX_HOPS: usize = 16;
+
+/// Where a prim lies in the world and which material is bound to it.
+pub(super) struct Placed {
+    pub(super) prim: usize,
+    pub(super) transform: DMat4,
+    pub(super) material: Option<usize>,
+}
 
 /// Where an input of a shader gets its value.
 pub(super) enum Source<'a> {

@@ -7,18 +7,11 @@ use glam::{DMat4, Vec2, Vec3};
 use super::document::{Prim, Value, field};
 use super::materials::Materials;
 use super::names;
-use super::stage::Stage;
+use super::stage::{Placed, Stage};
 use crate::format::error::Fault;
 use crate::format::placed::{orthogonal, turned};
 use crate::format::polygon;
 use crate::scene::Mesh;
-
-/// Where the prim lies and which material is bound to it.
-pub(super) struct Placed {
-    pub(super) prim: usize,
-    pub(super) transform: DMat4,
-    pub(super) material: Option<usize>,
-}
 
 /// A mesh as it is in the file: corners of polygons one after the other.
 struct Polygons {

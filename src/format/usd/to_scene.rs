@@ -7,15 +7,15 @@ use glam::{DMat4, DVec3};
 use super::document::{Layer, Prim, PropertyKind, Specifier, Value, field};
 use super::materials::Materials;
 use super::package::Place;
-use super::stage::Stage;
-use super::surfaces::{self, Placed};
-use super::{foreign, frame, names, splats, views, xform};
+use super::stage::{Placed, Stage};
+use super::{foreign, frame, names, splats, surfaces, views, xform};
 use crate::format::SceneFile;
 use crate::format::activation::layers;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
 use crate::format::placed::{self, join};
+use crate::scene::frame::HALF_TURN;
 use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode, PixelFilter};
 
 /// Type of splats.
@@ -36,7 +36,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     let root = contract_prim(&stage);
     let mut composition = composition(&stage, root, &mut notes)?;
     let is_ours = is_ours(&stage);
-    let to_scene = if is_ours { frame::TURN } else { DMat4::IDENTITY };
+    let to_scene = if is_ours { HALF_TURN } else { DMat4::IDENTITY };
     let mut materials = Materials::new(place, composition.color_space);
     let mut left_out = Counts::default();
     left_out.layer(layer);

@@ -6,7 +6,7 @@ use super::names;
 use super::stage::Stage;
 use crate::format::DEFAULT_HEIGHT;
 use crate::format::placed::{Decomposed, similarity};
-use crate::scene::{Camera, Intrinsics};
+use crate::scene::{Camera, Intrinsics, frame};
 
 /// A camera in the world of `transform`, followed by `to_scene`, and what had to be assumed about it; on failure, the
 /// reason.
@@ -22,8 +22,7 @@ pub(super) fn read(
     let placed = to_scene * transform;
     let Decomposed { rotation, translation, .. } =
         similarity(placed).ok_or("its transform shears, mirrors or stretches")?;
-    let to_camera = (DMat3::from_quat(rotation) * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))).transpose();
-    let pose = (to_camera, -(to_camera * translation));
+    let pose = frame::camera_of_node(rotation, translation);
 
     // USD's defaults are those of a 35 mm film camera.
     let optics = [

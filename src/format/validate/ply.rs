@@ -68,11 +68,12 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         );
     }
     let rest = (0..90).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
-    let of_degree = |d: u32| 3 * (sh::coefficients(d) - 1);
-    if rest == of_degree(sh::MAX_DEGREE + 1) {
-        findings.warning("PLY_SH_COUNT", declared(), "bands up to degree 3, as readers have them", "one more");
-    } else if !(0..=sh::MAX_DEGREE).any(|d| rest == of_degree(d)) {
-        findings.error("PLY_SH_COUNT", declared(), "0, 9, 24 or 45 properties `f_rest_0`, …", rest);
+    match sh::degree_of_band_floats(rest, sh::MAX_DEGREE + 1) {
+        Some(degree) if degree > sh::MAX_DEGREE => {
+            findings.warning("PLY_SH_COUNT", declared(), "bands up to degree 3, as readers have them", "one more");
+        }
+        Some(_) => {}
+        None => findings.error("PLY_SH_COUNT", declared(), "0, 9, 24 or 45 properties `f_rest_0`, …", rest),
     }
     check_values(&ply, &mut body, findings);
 }

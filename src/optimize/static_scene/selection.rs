@@ -6,9 +6,13 @@ use glam::Vec2;
 use super::Run;
 use crate::{
     geometry::{self, ChartSpace, Surface, UnwrappedMesh},
-    optimize::{Selection, TrainError, maps, or_why_not},
+    optimize::{
+        Selection, TrainError,
+        maps::{self, MapLayout},
+        or_why_not,
+    },
     render::gpu::training::Training,
-    scene::{Atlas, Mesh, Texture},
+    scene::{Atlas, Mesh},
 };
 
 /// A triangle stays if around it the squared error of the maps alone is no larger than this times that of the splats
@@ -116,13 +120,11 @@ impl Score {
 /// `pixels`, as far as a budget has room. With one, maps get a part of it in proportion to the `share` that they cover of the pictures, up to
 /// a limit: where splats are spread thinly, so are texels. At least 64 and at most as many as the maps of before have.
 fn side_for(pixels: f64, share: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
-    // Of all maps but the smallest, see `maps::band_side`.
-    let of_bands = |b: &Texture| f64::from(b.channels()) / f64::from(maps::BAND_TEXEL.pow(2));
-    let per_texel = 4.0 + before.bands().map_or(0.0, of_bands);
+    let largest = before.base().width();
+    let per_texel = MapLayout { side: largest, degree: before.sh_degree() }.floats_per_texel();
     let part = (MAPS_SHARE * share).min(MOST_FOR_MAPS);
     let affordable = max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
     let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
-    let largest = before.base().width();
     ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest)
 }
 
@@ -205,7 +207,8 @@ fn laid_out_anew(
 fn lay_out(unwrapped: UnwrappedMesh, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
     let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
     let base = redrawn(atlas.base(), size, GUTTER)?;
-    let bands = atlas.bands().map(|bands| redrawn(bands, maps::band_side(size), GUTTER / 2)).transpose()?;
+    let band_side = MapLayout { side: size, degree: atlas.sh_degree() }.band_side();
+    let bands = atlas.bands().map(|bands| redrawn(bands, band_side, GUTTER / 2)).transpose()?;
     Ok(Mesh::new(unwrapped.positions, unwrapped.triangles, unwrapped.corner_uvs, Atlas::new(base, bands)?)?)
 }
 
@@ -214,6 +217,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
+    use crate::scene::Texture;
 
     /// Two separate strips of `n` squares each, the second half as wide, every triangle with its own texels.
     fn strips(n: u32) -> Mesh {

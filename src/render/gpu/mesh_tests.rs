@@ -36,7 +36,7 @@ impl Random {
 }
 
 pub(super) fn atlas(random: &mut Random, degree: u32, size: u32) -> Atlas {
-    let bands = (degree > 0).then(|| random.texture(size / 2, size, 3 * (sh::coefficients(degree) as u32 - 1), 0.4));
+    let bands = (degree > 0).then(|| random.texture(size / 2, size, sh::band_floats(degree) as u32, 0.4));
     Atlas::new(random.texture(2 * size, size, 4, 1.5), bands).unwrap()
 }
 

@@ -6,7 +6,8 @@
 //! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced by A, …, B−1; if A > B, by A−1, …, B.
 //!   A and B are numbers or defines.
 //!
-//! Every define is also emitted as `const NAME`, of u32 or f32; so are the constants of [`view`] and the numbers of [`contract`].
+//! Every define is also emitted as `const NAME`, of u32 or f32; so are the constants of [`view`], the numbers of [`contract`] and
+//! those of sums in fixed point.
 
 use std::collections::BTreeMap;
 
@@ -97,6 +98,20 @@ const CONTRACT: [(&str, f64); 6] = [
     ("TRANSMITTANCE_STOP", contract::TRANSMITTANCE_STOP),
 ];
 
+/// Units of fixed point that the largest gradient of a fragment is; `shaders/shared/fixed_point.wgsl` says why so many.
+pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
+/// What a unit of the higher bands is, in those of the base map.
+pub(crate) const BAND_UNIT: f32 = 8.0;
+/// Pixels of a texel of the base map up to which its sum has room several times over: each layer and each chart that lies on the same texel
+/// adds its own. A fragment is crowded if its texel has more.
+pub(crate) const CROWD: f32 = 1024.0;
+/// The same of a texel of the higher bands.
+const BAND_CROWD: f32 = 2048.0;
+
+/// Numbers of sums in fixed point, by the names that kernels have for them.
+const FIXED_POINT: [(&str, f32); 4] =
+    [("FIXED_ONE", FIXED_ONE), ("BAND_UNIT", BAND_UNIT), ("CROWD", CROWD), ("BAND_CROWD", BAND_CROWD)];
+
 /// Names and values that specialise a shader.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Defines {
@@ -138,8 +153,8 @@ impl Defines {
 /// The complete WGSL of `file` for these defines. Panics on a malformed shader file: they are part of the program.
 pub(crate) fn preprocess(file: &str, defines: &Defines) -> String {
     let mut out = String::new();
-    for (name, value) in CONTRACT {
-        out.push_str(&format!("const {name}: f32 = {:?};\n", value as f32));
+    for (name, value) in CONTRACT.map(|(name, value)| (name, value as f32)).into_iter().chain(FIXED_POINT) {
+        out.push_str(&format!("const {name}: f32 = {value:?};\n"));
     }
     for (name, value) in view::CONSTANTS.iter().map(|(name, value)| (name, value)).chain(&defines.whole) {
         out.push_str(&format!("const {name}: u32 = {value}u;\n"));
@@ -250,7 +265,22 @@ pub(crate) fn workgroup_size(wgsl: &str, entry: &str, defines: &Defines) -> u32 
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+
+    /// What is not in the list is missed only where a kernel is made of it.
+    #[test]
+    fn every_shader_is_embedded() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
+        let mut files = vec![];
+        for (folder, prefix) in [(folder.clone(), ""), (folder.join("shared"), "shared/")] {
+            let names = folder.read_dir().unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+            files.extend(names.filter(|name| name.ends_with(".wgsl")).map(|name| format!("{prefix}{name}")));
+        }
+        files.sort();
+        assert_eq!(files, FILES.iter().map(|(name, _)| *name).collect::<Vec<_>>());
+    }
 
     #[test]
     fn blocks_nest_and_loops_substitute() {

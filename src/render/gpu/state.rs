@@ -145,11 +145,10 @@ pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Inverse of [`sigmoid`].
+/// Inverse of [`sigmoid`], that of [`crate::scene`] in f32.
 #[must_use]
 pub(crate) fn logit(p: f32) -> f32 {
-    let p = f64::from(p);
-    (p / (1.0 - p)).ln() as f32
+    crate::scene::logit(p.into()) as f32
 }
 
 #[cfg(test)]

@@ -8,19 +8,14 @@
 use super::adam::{self, bias_corrections};
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage};
 use super::shader::Defines;
+#[cfg(test)]
+use super::shader::{BAND_UNIT, CROWD, FIXED_ONE};
 use crate::scene::{Atlas, Mesh, SceneError, Texture, sh};
 
 /// Base `[h·w·4]` and bands of one mesh's gradient.
 #[cfg(test)]
 pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
 
-/// Of `shaders/shared/fixed_point.wgsl`.
-#[cfg(test)]
-pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
-#[cfg(test)]
-const BAND_UNIT: f32 = 8.0;
-#[cfg(test)]
-const CROWD: f32 = 1024.0;
 /// Words of [`Texels::peaks`], see there.
 pub(crate) const PEAKS: usize = 4;
 /// Fragments of a thread of `gradient_peak.wgsl`.

@@ -10,7 +10,9 @@ use super::adam::{self, bias_corrections};
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;
 #[cfg(test)]
-use super::texels::{FIXED_ONE, PEAKS};
+use super::shader::FIXED_ONE;
+#[cfg(test)]
+use super::texels::PEAKS;
 use super::texels::{PEAK_FRAGMENTS, peak_kernel};
 use crate::geometry::{self, Rings};
 use crate::scene::Mesh;

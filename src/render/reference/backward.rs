@@ -4,7 +4,7 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 
 use super::{Image, Parameters, Projected, Source, View, jacobian, mesh, power, rotation, splat_radiance};
 use crate::render::contract;
-use crate::scene::{Camera, HybridScene, sh, sigmoid};
+use crate::scene::{Camera, HybridScene, sh, sigmoid, smoothed};
 
 /// Derivatives with respect to what a splat looks like in the image.
 #[derive(Clone, Copy)]
@@ -192,7 +192,7 @@ fn splat_backward(
     let d_covariance = DMat3 { z_axis: DVec3::ZERO, ..DMat3::from_mat2(d_covariance) };
     let t = camera.to_camera(parameters.means[i]);
     let m = jacobian(camera, t) * camera.rotation();
-    let (s, _) = contract::smoothed(parameters.log_scales[i], parameters.smoothing[i]);
+    let (s, _) = smoothed(parameters.log_scales[i], parameters.smoothing[i]);
     let r = rotation(parameters.rotations[i]);
     let n = r * DMat3::from_diagonal(s);
     let d_n = 2.0 * m.transpose() * d_covariance * m * n;

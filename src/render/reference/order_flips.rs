@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::{Parameters, View, rotation};
 use crate::render::contract;
-use crate::scene::{Camera, HybridScene};
+use crate::scene::{Camera, HybridScene, smoothed};
 
 /// What changes sides of the mesh from one camera to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,7 +49,7 @@ pub fn order_flips(scene: &HybridScene, cameras: [&Camera; 2]) -> OrderFlips {
     }
     let both = |(i, seen): (usize, &[Option<usize>; 2])| Some((i, [seen[0]?, seen[1]?]));
     let of_splat = |(i, places): (usize, [usize; 2])| {
-        let (scale, _) = contract::smoothed(parameters.log_scales[i], parameters.smoothing[i]);
+        let (scale, _) = smoothed(parameters.log_scales[i], parameters.smoothing[i]);
         let axes = rotation(parameters.rotations[i]) * DMat3::from_diagonal(scale);
         let ends = [axes.x_axis, axes.y_axis, axes.z_axis].into_iter().flat_map(|axis| [axis, -axis]);
         let order = |which: usize, point: DVec3| {

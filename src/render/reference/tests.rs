@@ -431,7 +431,7 @@ fn normalized_filters_keep_the_sum() {
     assert!((sum(&scene, &parameters) / exact - 1.0).abs() < 1e-12);
     scene.composition.pixel_filter = PixelFilter::DILATION;
     assert!(sum(&scene, &parameters) > 1.001 * exact);
-    let (scale, opacity) = contract::smoothed(parameters.log_scales[0], 0.05);
+    let (scale, opacity) = smoothed(parameters.log_scales[0], 0.05);
     let variance = (2.0 * parameters.log_scales[0]).exp() + 0.0025;
     assert!((scale * scale - variance).abs().max_element() < 1e-15);
     assert!((opacity * scale.element_product() - parameters.log_scales[0].exp().element_product()).abs() < 1e-15);

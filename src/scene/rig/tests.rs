@@ -8,7 +8,7 @@ use crate::scene::{Atlas, Composition, Splats, Texture, sh};
 
 fn mesh(positions: &[Vec3], degree: u32) -> Mesh {
     let base = Texture::new(1, 1, 4, vec![0.1, 0.2, 0.3, 0.4]).unwrap();
-    let channels = 3 * (sh::coefficients(degree) as u32 - 1);
+    let channels = sh::band_floats(degree) as u32;
     let bands = (degree > 0)
         .then(|| Texture::new(1, 1, channels, (0..channels).map(|c| 0.1 * c as f32 - 0.3).collect()).unwrap());
     let triangles: Vec<[u32; 3]> = (2..positions.len() as u32).map(|v| [0, v - 1, v]).collect();

@@ -3,8 +3,7 @@
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
-use super::document::{Component, Document, Elements};
-use super::hybrid::position_of;
+use super::document::{Component, Document};
 use super::index;
 use super::scenes::check_unit;
 use super::splats::check_token;
@@ -28,7 +27,7 @@ pub(super) fn check(document: &Document<'_>, primitive: &Value, binding: &Value,
 
 /// The accessors: one element per splat, of the right types.
 fn check_poses(document: &Document<'_>, primitive: &Value, binding: &Value, at: &str, findings: &mut Findings) {
-    let splats = position_of(document, primitive).map_or(0, |p| p.count);
+    let splats = document.positions(primitive).map_or(0, |p| p.count);
     let elements = |key: &str| index(binding, key).and_then(|i| document.elements(i));
     for (key, components) in [("triangles", 1), ("translations", 3), ("rotations", 4), ("scales", 3)] {
         let Some(e) = elements(key) else { continue };
@@ -49,7 +48,7 @@ fn check_poses(document: &Document<'_>, primitive: &Value, binding: &Value, at: 
         let mut offenders = Offenders::default();
         for i in 0..triangles.count {
             let v = triangles.raw(i, 0);
-            if v >= declared as f64 || !is_unsigned(&triangles) {
+            if v >= declared as f64 || !triangles.is_unsigned() {
                 offenders.note(|| format!("{v} of splat {i}"));
             }
         }
@@ -62,7 +61,7 @@ fn check_poses(document: &Document<'_>, primitive: &Value, binding: &Value, at: 
 
 /// Whether the triangles of the primitive `bound` are those that the binding was made for.
 fn check_triangles(document: &Document<'_>, bound: &Value, binding: &Value, at: &str, findings: &mut Findings) {
-    let Some(positions) = position_of(document, bound) else { return };
+    let Some(positions) = document.positions(bound) else { return };
     let indices = match index(bound, "indices") {
         Some(accessor) => match document.elements(accessor) {
             Some(indices) => Some(indices),
@@ -87,10 +86,4 @@ fn check_triangles(document: &Document<'_>, bound: &Value, binding: &Value, at: 
         let expected = format!("{digest}, the digest of the triangles of the mesh");
         findings.error("HYBRID_BINDING_DIGEST", format!("{at}/geometryDigest"), expected, declared);
     }
-}
-
-/// Whether an accessor holds plain numbers of things.
-pub(super) fn is_unsigned(elements: &Elements<'_>) -> bool {
-    let kinds = [Component::UnsignedByte, Component::UnsignedShort, Component::UnsignedInt];
-    elements.components == 1 && !elements.normalized && kinds.contains(&elements.kind)
 }

@@ -126,6 +126,12 @@ impl Elements<'_> {
         self.base.is_some() || self.sparse.is_some()
     }
 
+    /// Whether they are plain numbers of things.
+    pub(super) fn is_unsigned(&self) -> bool {
+        let kinds = [Component::UnsignedByte, Component::UnsignedShort, Component::UnsignedInt];
+        self.components == 1 && !self.normalized && kinds.contains(&self.kind)
+    }
+
     /// Component `c` of element `i` as stored.
     pub(super) fn raw(&self, i: usize, c: usize) -> f64 {
         if let Some(sparse) = &self.sparse
@@ -281,6 +287,11 @@ impl<'a> Document<'a> {
         let start = index(view, "byteOffset").unwrap_or(0);
         let end = start.checked_add(index(view, "byteLength")?)?;
         self.buffers.get(index(view, "buffer")?)?.as_ref()?.bytes().get(start..end)
+    }
+
+    /// `POSITION` of a primitive, as [`Self::elements`] has it.
+    pub(super) fn positions(&self, primitive: &Value) -> Option<Elements<'_>> {
+        self.elements(index(primitive.get("attributes")?, "POSITION")?)
     }
 
     /// `None` if something about it is broken, which [`super::accessors`] reports, or if an extension may have its values.

@@ -5,7 +5,6 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
-use super::binding::is_unsigned;
 use super::document::{Component, Document, Elements};
 use super::moving::check_times;
 use super::pictures::Pictures;
@@ -317,10 +316,6 @@ fn check_texels(
     }
 }
 
-pub(super) fn position_of<'a>(document: &'a Document<'_>, primitive: &Value) -> Option<Elements<'a>> {
-    document.elements(index(primitive.get("attributes")?, "POSITION")?)
-}
-
 fn check_surface(
     document: &Document<'_>,
     primitive: &Value,
@@ -332,7 +327,7 @@ fn check_surface(
     if mode != 4 {
         findings.error("HYBRID_MODE", format!("{at_primitive}/mode"), "4 (TRIANGLES)", mode);
     }
-    let Some(positions) = position_of(document, primitive) else { return };
+    let Some(positions) = document.positions(primitive) else { return };
     if let Some(source) = index(surface, "surfaceVertices").and_then(|i| document.elements(i)) {
         check_surface_vertices(&source, &positions, &format!("{at}/surfaceVertices"), findings);
     }
@@ -352,7 +347,7 @@ fn check_surface(
 }
 
 fn check_surface_vertices(source: &Elements<'_>, positions: &Elements<'_>, at: &str, findings: &mut Findings) {
-    if !is_unsigned(source) || source.count != positions.count {
+    if !source.is_unsigned() || source.count != positions.count {
         let expected = format!("{} SCALAR elements of an unsigned integer type", positions.count);
         return findings.error("HYBRID_SURFACE_TYPE", at, expected, format!("{} of {:?}", source.count, source.kind));
     }
