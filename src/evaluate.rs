@@ -216,7 +216,7 @@ impl Comparison {
 /// What a render should show at pixel `p` (by rows from the top) of a photograph, sRGB-encoded, and what multiplies both before they are
 /// compared.
 pub(crate) fn expected(photo: &Photo, p: usize, background: [f32; 3]) -> ([f32; 3], f32) {
-    let [r, g, b, a] = [0, 1, 2, 3].map(|c| f32::from(photo.rgba[4 * p + c]) / 255.0);
+    let [r, g, b, a] = photo.color(p);
     let rgb = [r, g, b];
     if photo.masked { (rgb, a) } else { ([0, 1, 2].map(|c| a * rgb[c] + (1.0 - a) * background[c]), 1.0) }
 }

@@ -99,5 +99,6 @@ pub mod optimize;
 pub mod path;
 pub mod render;
 pub mod scene;
+mod stats;
 
 pub use {glam, image, serde_json};

@@ -9,6 +9,7 @@ use image::{DynamicImage, GrayImage, ImageDecoder, ImageError, ImageReader, Limi
 use rayon::prelude::*;
 
 use super::distortion::{Distortion, Lens};
+use super::photo::Photo;
 use super::{CaptureError, View, error};
 use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
 use crate::scene::Intrinsics;
@@ -67,24 +68,6 @@ impl ImageSource {
     pub fn time(&self) -> Option<f64> {
         self.time
     }
-}
-
-/// A decoded picture at the size of its view's camera.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Photo {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// `[height·width·4]`, rows from the top: sRGB-encoded colour, and A, which is straight alpha, a mask
-    /// (255 = use this pixel) or their product. Colour is undefined where A is 0.
-    pub rgba: Vec<u8>,
-    /// Some pixel of the file is transparent: A is opacity over an unknown background. What an undistorted frame shows outside of such a
-    /// photograph, if anything, is transparent, too, as what is around an object that was cut out.
-    pub has_alpha: bool,
-    /// A mask was applied, or the undistorted frame reaches outside a photograph without alpha, as it does only of the most distorted
-    /// (see [`Lens::pinhole`]): A is how far a pixel counts.
-    pub masked: bool,
 }
 
 /// What the first bytes of an image say.

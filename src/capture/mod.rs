@@ -12,6 +12,7 @@ mod colmap_text;
 mod distortion;
 mod error;
 mod images;
+mod photo;
 mod transforms;
 mod views;
 
@@ -21,12 +22,19 @@ pub use cache::PhotoCache;
 pub use cameras::{Cameras, FRAME_RATES, cameras};
 pub use distortion::{Distortion, Lens};
 pub use error::CaptureError;
-pub use images::{ImageSource, Photo, decode};
+pub use images::{ImageSource, decode};
+pub use photo::Photo;
+pub(crate) use photo::pixel_index;
 
 use glam::Vec3;
 
 use self::views::Frame;
-use crate::{atomic::folder_of, format::has_extension, scene::Camera};
+use crate::{
+    atomic::folder_of,
+    format::has_extension,
+    scene::{Camera, center_and_spread},
+    stats::median,
+};
 
 /// A set of posed photographs and what structure from motion knows of the surface.
 #[derive(Clone, Debug)]
@@ -298,14 +306,9 @@ fn near_origin(views: &[View], points: &[Point], list: &Path) -> Result<(), Capt
     let centers: Vec<_> = views.iter().map(|view| view.camera.center()).collect();
     let distance = centers.iter().map(|center| center.abs().max_element()).fold(0.0, f64::max);
     let step = distance * f64::from(f32::EPSILON);
-    let mut away: Vec<f64> = points.iter().map(|point| point.position.distance(centers[0])).collect();
-    let middle = away.len() / 2;
-    let median = if away.is_empty() { 0.0 } else { *away.select_nth_unstable_by(middle, f64::total_cmp).1 };
     // Of cameras in one place the points say how large it is.
-    let extent = match extent(views.iter().map(|view| &view.camera)) {
-        extent if extent > ONE_PLACE * median => extent,
-        _ => median,
-    };
+    let depth = median(points.iter().map(|point| point.position.distance(centers[0])).collect());
+    let extent = extent_or_depth(views.iter().map(|view| &view.camera), depth).unwrap_or(0.0);
     if extent == 0.0 || step <= COARSEST * extent {
         return Ok(());
     }
@@ -318,16 +321,20 @@ fn near_origin(views: &[View], points: &[Point], list: &Path) -> Result<(), Capt
 /// of all camera centres, in world units. 0 without cameras, or where all are at one place.
 #[must_use]
 pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
-    let centers: Vec<_> = cameras.into_iter().map(Camera::center).collect();
-    let mean = centers.iter().sum::<glam::DVec3>() / centers.len().max(1) as f64;
-    let farthest = centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
+    let (mean, farthest) = center_and_spread(cameras);
     if farthest <= ROUNDED * mean.length() { 0.0 } else { 1.1 * farthest }
+}
+
+/// [`extent`] of cameras; where they are all in one place, how far away is what they see, `None` if nothing tells.
+pub(crate) fn extent_or_depth<'a>(cameras: impl IntoIterator<Item = &'a Camera>, depth: Option<f64>) -> Option<f64> {
+    let extent = extent(cameras);
+    if extent > ONE_PLACE * depth.unwrap_or(0.0) { Some(extent) } else { depth }
 }
 
 /// Photographs that are decoded at once, where all are looked at: while they are, they have their full size.
 pub(crate) const DECODED_AT_ONCE: usize = 4;
 /// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a pixel of a thousand.
-pub(crate) const ONE_PLACE: f64 = 1e-3;
+const ONE_PLACE: f64 = 1e-3;
 /// Centres follow from rotations and translations, which files round to some eight digits: part of their distance from the origin up to which they
 /// are one.
 const ROUNDED: f64 = 5e-8;

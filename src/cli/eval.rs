@@ -13,8 +13,8 @@ use centaur::metrics::{
     side_by_side,
 };
 use centaur::render::gpu::Gpu;
-use centaur::scene::{Camera, HybridScene};
-use glam::{DQuat, DVec3};
+use centaur::scene::{Camera, HybridScene, center_and_spread};
+use glam::DQuat;
 use image::{ImageBuffer, PixelWithColorType};
 
 use super::history::Record;
@@ -170,8 +170,7 @@ fn other_places(trained_on: &[(String, Camera)], capture: &Capture) -> Option<St
     let pairs: Vec<(&Camera, &Camera)> = (capture.views.iter())
         .filter_map(|view| Some((&view.camera, &trained_on.iter().find(|(name, _)| *name == view.name)?.1)))
         .collect();
-    let mean = pairs.iter().map(|(own, _)| own.center()).sum::<DVec3>() / pairs.len().max(1) as f64;
-    let spread = pairs.iter().map(|(own, _)| own.center().distance(mean)).fold(0.0, f64::max);
+    let (_, spread) = center_and_spread(pairs.iter().map(|(own, _)| *own));
     let is_elsewhere = |(own, theirs): &&(&Camera, &Camera)| {
         let turned = DQuat::from_mat3(&(own.rotation() * theirs.rotation().transpose())).angle_between(DQuat::IDENTITY);
         turned.to_degrees() > 10.0 || spread > 0.0 && own.center().distance(theirs.center()) > 0.1 * spread

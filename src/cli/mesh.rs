@@ -283,11 +283,14 @@ const SEEN_AT: u32 = 512;
 /// Part of the texels in charts of a square map whose centres a view of the capture sees.
 fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
     let cameras = capture.cameras();
-    let viewers = Viewers { cameras: &cameras, near: 0.0, layers: 1, shows: &|_, _| true };
+    let viewers = Viewers::unmasked(&cameras, 0.0, 1);
     let bvh = MeshBvh::of(std::slice::from_ref(mesh));
     let (charted, seen) = geometry::texel_visibility(mesh, [side; 2], &bvh, &viewers)?.counts();
     Ok(seen as f64 / charted.max(1) as f64)
 }
+
+/// What is in this last part of the way to a point of the truth does not hide it: the truth itself, which may be rough.
+const SAME_PLACE: f64 = 1e-3;
 
 /// The surface against the truth, which is that of `file`, as far as a camera of the capture sees that.
 fn compare(surface: &Surface, file: &Path, truth: &Surface, args: &Args, capture: &Capture) -> Result<SurfaceDistance> {
@@ -302,11 +305,10 @@ fn compare(surface: &Surface, file: &Path, truth: &Surface, args: &Args, capture
     let box_of_ball = |side: f64| (ball.center + DVec3::splat(side * ball.radius)).as_vec3();
     let diagonal = f64::from(low.max(box_of_ball(-1.0)).distance(high.min(box_of_ball(1.0))));
     let bvh = MeshBvh::new([(truth.positions.as_slice(), truth.triangles.as_slice())]);
+    let viewers = Viewers::unmasked(&cameras, 0.0, 1);
     let is_seen = |p: DVec3| {
-        capture.views.iter().any(|View { camera, .. }| {
-            let center = camera.center();
-            camera.in_picture(camera.to_camera(p)).is_some() && !bvh.any_hit(center, p - center, 0.0, 1.0 - 1e-3)
-        })
+        let mut sights = (0..cameras.len()).filter_map(|view| viewers.sight(view, p));
+        sights.any(|sight| sight.is_clear(&bvh, viewers.layers, SAME_PLACE))
     };
     let within = args.within.unwrap_or(0.01 * diagonal);
     geometry::surface_distance(surface, truth, within, ball, is_seen).with_context(|| {

@@ -74,8 +74,8 @@ impl Boundable for Boxed {
 /// at least one of its triangles whatever the rounding.
 const EDGE_TOLERANCE: f64 = 1e-9;
 
-/// Part of the ray parameter within which hits are at one place: at an edge, as far as its tolerance lets them differ.
-pub(super) const ONE_PLACE: f64 = 1e-8;
+/// Part of the ray parameter within which hits are one: at an edge, as far as its tolerance lets them differ.
+pub(super) const ONE_HIT: f64 = 1e-8;
 
 /// Padding of the boxes, in their unit: some 30 f32 roundings of coordinates up to 3 radii.
 const BOX_PADDING: f64 = 1e-5;
@@ -169,7 +169,7 @@ impl MeshBvh {
         let Some(local) = self.local_ray(origin.into(), dir.into(), t_max) else { return count == 0 };
         let mut found: Vec<f64> = vec![];
         let mut is_new = |t: f64| {
-            let is_new = t_min <= t && t <= t_max && found.iter().all(|f| (t - f).abs() > ONE_PLACE * t.abs());
+            let is_new = t_min <= t && t <= t_max && found.iter().all(|f| (t - f).abs() > ONE_HIT * t.abs());
             if is_new && found.len() + 1 < count {
                 found.push(t);
                 return false;

@@ -1,8 +1,8 @@
 use glam::{DVec3, Vec3};
 
 use super::GeometryError;
-use super::quantile::{median, quantile_box};
-use crate::scene::{Camera, OpticalAxes};
+use crate::scene::{Camera, OpticalAxes, center_and_spread};
+use crate::stats::{median, quantile_box};
 
 /// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
 const BEYOND: f64 = 0.1;
@@ -27,7 +27,7 @@ impl Contraction {
     /// Without cameras.
     pub fn around(cameras: &[Camera], points: &[Vec3]) -> Result<Self, GeometryError> {
         let inner = quantile_box(points.iter().map(|p| p.as_dvec3()), 0.25);
-        let mean_center = || cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len() as f64;
+        let mean_center = || center_and_spread(cameras).0;
         // Axes that hardly cross leave it where the points are, or else among the cameras.
         let expected = inner.map_or_else(mean_center, |(low, high)| (low + high) / 2.0);
         let center = OpticalAxes::of(cameras).meeting_point_near(expected);

@@ -4,20 +4,20 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    MeshBvh,
+    MeshBvh, Viewers,
     raster::{texel_positions, texels_in},
 };
-use crate::scene::{Camera, Mesh, sigmoid};
+use crate::scene::{Mesh, sigmoid};
 
-/// From this part of a ray's length to a point on, what it meets is behind that point and not beside it.
+/// From this part of the way to a point on, what is met is behind that point and not beside it.
 const BEHIND: f64 = 1.0 + 1e-6;
 
 /// Which triangles `[F]` have a mean opacity below `least`, in 0..=1, over the texels of the finest level whose centres lie in
-/// them, and have no triangle behind them that is not such a one, as seen from any of the `cameras`, which draw what is farther
-/// than `near`. Only a pixel's first layers are drawn: with a faint triangle gone one behind it would come to be drawn, of which
-/// nobody has trained what it shows from there.
+/// them, and have no triangle behind them that is not such a one, as any of the `viewers` sees it. Only a pixel's first layers are drawn, be
+/// they as many as they may: with a faint triangle gone one behind it would come to be drawn, of which nobody has trained what it shows
+/// from there.
 #[must_use]
-pub fn faint_triangles(mesh: &Mesh, least: f64, cameras: &[Camera], near: f64) -> Vec<bool> {
+pub fn faint_triangles(mesh: &Mesh, least: f64, viewers: &Viewers) -> Vec<bool> {
     let base = mesh.atlas().base();
     let size = [base.width(), base.height()].map(|side| side as usize);
     let opacity = |x: usize, y: usize| sigmoid(f64::from(base.texels()[4 * (y * size[0] + x) + 3]));
@@ -34,11 +34,8 @@ pub fn faint_triangles(mesh: &Mesh, least: f64, cameras: &[Camera], near: f64) -
     let rest: Vec<[u32; 3]> = faces.filter(|&f| !faint[f]).map(|f| mesh.triangles()[f]).collect();
     let rest = MeshBvh::new([(mesh.positions(), rest.as_slice())]);
     let hides = |point: DVec3| {
-        cameras.iter().any(|camera| {
-            let p = camera.to_camera(point);
-            let is_drawn = p.z > near && camera.in_picture(p).is_some();
-            is_drawn && rest.any_hit(camera.center(), point - camera.center(), BEHIND, f64::INFINITY)
-        })
+        let mut sights = (0..viewers.cameras.len()).filter_map(|view| viewers.sight(view, point));
+        sights.any(|sight| sight.has_hit(&rest, BEHIND, f64::INFINITY))
     };
     faint.par_iter_mut().enumerate().filter(|(_, is_faint)| **is_faint).for_each(|(face, is_faint)| {
         let corners = mesh.triangles()[face].map(|v| mesh.positions()[v as usize].as_dvec3());
@@ -75,7 +72,7 @@ mod tests {
     use glam::{DMat3, Vec2, Vec3};
 
     use super::*;
-    use crate::scene::{Atlas, Intrinsics, Texture};
+    use crate::scene::{Atlas, Camera, Intrinsics, Texture};
 
     /// Unit squares across z at depth 2, below each other in one atlas, each at its x and depth with its own opacity.
     fn squares(squares: &[(f32, f32, f32)], side: u32) -> Mesh {
@@ -106,7 +103,7 @@ mod tests {
     }
 
     fn faint_squares(mesh: &Mesh, cameras: &[Camera], near: f64) -> Vec<bool> {
-        let faint = faint_triangles(mesh, 0.02, cameras, near);
+        let faint = faint_triangles(mesh, 0.02, &Viewers::unmasked(cameras, near, 1));
         assert!(faint.chunks(2).all(|pair| pair[0] == pair[1]), "{faint:?}");
         faint.into_iter().step_by(2).collect()
     }
@@ -147,7 +144,9 @@ mod tests {
             let uvs = vec![[at(x, 3.6), at(x + 0.2, 3.6), at(x, 3.8)]];
             let atlas = Atlas::new(base.clone(), None).unwrap();
             let mesh = Mesh::new(positions.clone(), vec![[0, 1, 2]], uvs, atlas).unwrap();
-            assert_eq!(faint_triangles(&mesh, 0.02, &[camera()], 0.1), [expected], "{x}");
+            let cameras = [camera()];
+            let viewers = Viewers::unmasked(&cameras, 0.1, 1);
+            assert_eq!(faint_triangles(&mesh, 0.02, &viewers), [expected], "{x}");
         }
     }
 }

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use super::GeometryError;
 use super::contraction::Contraction;
-use super::quantile::quantile_box;
 use crate::scene::Camera;
+use crate::stats::quantile_box;
 
 /// Where and how finely depth maps are fused. Lengths are in world units, with a contraction in those of contracted space.
 #[derive(Clone, Copy, Debug, PartialEq)]

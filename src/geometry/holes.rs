@@ -7,7 +7,8 @@ use spade::{
     AngleLimit, ConstrainedDelaunayTriangulation, HasPosition, Point2, RefinementParameters, Triangulation as _,
 };
 
-use super::{quantile::median, surface::Surface};
+use super::surface::Surface;
+use crate::stats::median;
 
 /// A hole with more edges around it is not closed: of an iso-surface about 13 voxels across.
 const MOST_EDGES: usize = 40;

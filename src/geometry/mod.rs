@@ -12,10 +12,10 @@ mod neighbors;
 mod occluded;
 mod pack;
 mod planar;
-mod quantile;
 mod raster;
 mod reconstruct;
 mod shell;
+mod sight;
 mod smooth;
 mod sparse;
 mod surface;
@@ -34,17 +34,17 @@ pub use fusion::{Fusion, FusionOptions};
 pub use neighbors::mean_squared_distance_to_3_neighbors;
 pub use occluded::occluded_splats;
 pub use planar::PlanarStats;
-pub(crate) use quantile::{median, quantile};
 pub(crate) use reconstruct::surface_from_depths;
 pub use reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
 pub use shell::Shell;
+pub use sight::{Sight, Viewers};
 pub use smooth::{Rings, vertex_normals};
 pub use sparse::{PointView, SparseStats, surface_from_points, visible_points};
 pub use surface::{Surface, compact, components};
 pub use tidy::{Tidying, tidy};
 pub use transfer::transfer;
 pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, WIDEST_GUTTER, unwrap};
-pub use visibility::{TexelSight, TexelVisibility, Viewers, texel_visibility};
+pub use visibility::{TexelSight, TexelVisibility, texel_visibility};
 
 /// Why a surface could not be made or unwrapped.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

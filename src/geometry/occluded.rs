@@ -3,13 +3,13 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{Hit, MeshBvh, bvh::ONE_PLACE, raster::texel_positions, visibility::Viewers};
+use super::{Hit, MeshBvh, Viewers, bvh::ONE_HIT, raster::texel_positions};
 use crate::scene::{Mesh, Splats, sigmoid};
 
 /// Standard deviations of the points at which a splat is looked for, along its axes to either side.
 const DEVIATIONS: f64 = 2.0;
-/// A triangle farther than this part of the way to a point does not hide it but has it on itself.
-const BEFORE: f64 = 1.0 - 1e-6;
+/// A triangle in this last part of the way to a point does not hide it but has it on itself.
+const SAME_PLACE: f64 = 1e-6;
 
 /// Which splats `[N]` lie behind what is opaque: their mean and both ends of their axes, at two standard deviations, wherever one of the
 /// cameras has them in its picture, which must be one of them once at least. What is behind the first `layers` triangles of a
@@ -61,13 +61,10 @@ struct Veil<'a> {
 impl Veil<'_> {
     /// Whether a point is hidden from a camera; `None` if that one does not have it in its picture.
     fn hides(&self, view: usize, point: DVec3) -> Option<bool> {
-        let camera = &self.viewers.cameras[view];
-        let p = camera.to_camera(point);
-        let at = camera.in_picture(p).filter(|_| p.z > self.viewers.near)?;
-        (self.viewers.shows)(view, at).then_some(())?;
+        let sight = self.viewers.sight(view, point)?;
         let (mut passes, mut layers, mut last) = (1.0, 0, f64::NEG_INFINITY);
-        for hit in self.bvh.hits_before(camera.center(), point - camera.center(), BEFORE) {
-            if hit.t < self.viewers.near / p.z || hit.t - last <= ONE_PLACE * hit.t {
+        for hit in sight.hits_before(self.bvh, SAME_PLACE) {
+            if hit.t - last <= ONE_HIT * hit.t {
                 continue;
             }
             last = hit.t;

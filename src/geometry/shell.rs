@@ -6,9 +6,10 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bvh::MeshBvh;
-use super::quantile::quantile;
+use super::sight::Viewers;
 use super::surface::{Surface, compact};
-use crate::scene::{Camera, LARGEST_COORDINATE};
+use crate::scene::{Camera, LARGEST_COORDINATE, center_and_spread};
+use crate::stats::quantile;
 
 /// Views that must see a triangle of it: what one view alone sees may be near.
 const LEAST_VIEWS: u32 = 2;
@@ -20,6 +21,8 @@ const BEYOND_POINTS: f64 = 4.0;
 /// Part of its radius that surfaces within may reach: from there on parallax between the centre and a camera is at most four times that at
 /// the shell.
 const FARTHEST_SURFACE: f64 = 0.25;
+/// Nothing else is where the shell is: all of the way to a point of it counts.
+const SAME_PLACE: f64 = 0.0;
 /// Edges across the field of view: its triangles are judged one by one.
 const EDGES_ACROSS: f64 = 6.0;
 /// Subdivisions of the icosahedron, at most.
@@ -41,8 +44,7 @@ impl Shell {
     /// Around the cameras, and the points as far as they are known. `None` where nothing says how large that is.
     #[must_use]
     pub fn around(cameras: &[Camera], points: &[Vec3]) -> Option<Self> {
-        let center = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len().max(1) as f64;
-        let spread = cameras.iter().map(|c| c.center().distance(center)).fold(0.0, f64::max);
+        let (center, spread) = center_and_spread(cameras);
         let focal = cameras.iter().map(|c| c.intrinsics().fx.max(c.intrinsics().fy)).fold(0.0, f64::max);
         let distances = points.iter().map(|p| p.as_dvec3().distance(center)).filter(|d| d.is_finite()).collect();
         let outer = quantile(distances, 0.99).map_or(0.0, |d| BEYOND_POINTS * d);
@@ -61,46 +63,47 @@ impl Shell {
         (point.as_dvec3().distance(self.center) / self.radius - 1.0).abs() < 0.01
     }
 
-    /// The surface with those triangles of the shell that at least two of the cameras see past it, wound to be seen from within. What of
+    /// The surface with those triangles of the shell that at least two of the viewers see past it, wound to be seen from within. What of
     /// the surface is farther than a quarter of the way to the shell goes: depth hardly shows there, and the shell takes its place.
-    /// Cameras draw what is farther than `near`.
     #[must_use]
-    pub fn around_surface(&self, mut surface: Surface, cameras: &[Camera], near: f64) -> Surface {
+    pub fn around_surface(&self, mut surface: Surface, viewers: &Viewers) -> Surface {
         let is_within = |p: &Vec3| p.as_dvec3().distance(self.center) <= FARTHEST_SURFACE * self.radius;
         let within: Vec<bool> = surface.positions.iter().map(is_within).collect();
         surface.triangles.retain(|t| t.iter().all(|&v| within[v as usize]));
         let mut surface = compact(surface);
-        let far = self.seen_past(&surface, cameras, near);
+        let far = self.seen_past(&surface, viewers);
         let first = surface.positions.len() as u32;
         surface.positions.extend(far.positions);
         surface.triangles.extend(far.triangles.into_iter().map(|t| t.map(|v| first + v)));
         surface
     }
 
-    /// Its triangles that at least two of the cameras see past `rest`.
-    fn seen_past(&self, rest: &Surface, cameras: &[Camera], near: f64) -> Surface {
+    /// Its triangles that at least two of the viewers see past `rest`.
+    fn seen_past(&self, rest: &Surface, viewers: &Viewers) -> Surface {
         let (directions, triangles) = icosphere(self.subdivisions);
         let corners: Vec<DVec3> = directions.iter().map(|d| self.center + *d * self.radius).collect();
         let bvh = MeshBvh::new([(rest.positions.as_slice(), rest.triangles.as_slice())]);
-        let sees = |camera: &Camera, p: DVec3| Self::is_seen(camera, p, &bvh, near);
+        let views = 0..viewers.cameras.len();
+        let sees = |view: usize, p: DVec3| Self::is_seen(viewers, view, p, &bvh);
         // By corner and camera, which six triangles share.
         let seen: Vec<Vec<bool>> =
-            corners.par_iter().map(|p| cameras.iter().map(|camera| sees(camera, *p)).collect()).collect();
+            corners.par_iter().map(|p| views.clone().map(|view| sees(view, *p)).collect()).collect();
         let is_seen = |t: &&[u32; 3]| {
             let middle = t.iter().map(|&v| corners[v as usize]).sum::<DVec3>() / 3.0;
-            let by = |i: usize, camera: &Camera| t.iter().any(|&v| seen[v as usize][i]) || sees(camera, middle);
-            cameras.iter().enumerate().filter(|(i, camera)| by(*i, camera)).count() >= LEAST_VIEWS as usize
+            let by = |view: &usize| t.iter().any(|&v| seen[v as usize][*view]) || sees(*view, middle);
+            views.clone().filter(by).count() >= LEAST_VIEWS as usize
         };
         let triangles = triangles.par_iter().filter(is_seen).map(|&[a, b, c]| [a, c, b]).collect();
         compact(Surface { positions: corners.iter().map(|p| p.as_vec3()).collect(), triangles })
     }
 
-    /// Whether a point is in the camera's picture and nothing of the `rest` is before it. What is no farther than `near`, in camera-space z, is
-    /// not drawn and hides nothing.
+    /// Whether one of the viewers, by its index, sees a point of a shell past the `rest`.
+    ///
+    /// # Panics
+    /// If there is no such viewer.
     #[must_use]
-    pub fn is_seen(camera: &Camera, point: DVec3, rest: &MeshBvh, near: f64) -> bool {
-        let (origin, p) = (camera.center(), camera.to_camera(point));
-        camera.in_picture(p).is_some() && p.z > near && !rest.any_hit(origin, point - origin, near / p.z, 1.0)
+    pub fn is_seen(viewers: &Viewers, view: usize, point: DVec3, rest: &MeshBvh) -> bool {
+        viewers.sight(view, point).is_some_and(|sight| sight.is_clear(rest, viewers.layers, SAME_PLACE))
     }
 }
 
@@ -161,6 +164,10 @@ mod tests {
         [-1.0, 0.0, 1.0].map(at).to_vec()
     }
 
+    fn viewers(cameras: &[Camera], near: f64) -> Viewers<'_> {
+        Viewers::unmasked(cameras, near, 1)
+    }
+
     /// A square of side 2·`half` across z at depth 3, around x.
     fn wall(x: f32, half: f32) -> Surface {
         let corners = [[-half, -half], [half, -half], [half, half], [-half, half]];
@@ -203,7 +210,7 @@ mod tests {
     #[test]
     fn what_two_views_see_past_the_rest_is_kept() {
         let shell = Shell::around(&cameras(), &[]).unwrap();
-        let open = shell.seen_past(&Surface::default(), &cameras(), NEAR);
+        let open = shell.seen_past(&Surface::default(), &viewers(&cameras(), NEAR));
         let bvh = MeshBvh::new([(open.positions.as_slice(), open.triangles.as_slice())]);
         // All of the picture of the middle camera, and hardly anything outside.
         for (x, y) in (0..15).flat_map(|x| (0..10).map(move |y| (x, y))) {
@@ -218,27 +225,27 @@ mod tests {
             assert!((b - a).cross(c - a).dot(a) < 0.0, "seen from within");
         }
         // Behind a wall there is nothing to see; beside one there is.
-        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras(), NEAR), Surface::default());
-        let beside = shell.seen_past(&wall(9.0, 9.0), &cameras(), NEAR);
+        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &viewers(&cameras(), NEAR)), Surface::default());
+        let beside = shell.seen_past(&wall(9.0, 9.0), &viewers(&cameras(), NEAR));
         assert!(beside.triangles.len() > 10 && beside.triangles.len() < open.triangles.len() * 3 / 4);
         // What is too near to be drawn hides nothing.
-        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &cameras(), 3.1), open);
+        assert_eq!(shell.seen_past(&wall(0.0, 9.0), &viewers(&cameras(), 3.1)), open);
         // One view is too few.
-        assert_eq!(shell.seen_past(&Surface::default(), &cameras()[..1], NEAR), Surface::default());
+        assert_eq!(shell.seen_past(&Surface::default(), &viewers(&cameras()[..1], NEAR)), Surface::default());
     }
 
     #[test]
     fn it_takes_the_place_of_what_is_nearly_as_far() {
         let shell = Shell::around(&cameras(), &[]).unwrap();
-        let all = shell.around_surface(Surface::default(), &cameras(), NEAR);
+        let all = shell.around_surface(Surface::default(), &viewers(&cameras(), NEAR));
         let at = |scale: f32| {
             let Surface { positions, triangles } = wall(0.0, 9.0);
             Surface { positions: positions.into_iter().map(|p| p * scale).collect(), triangles }
         };
         // Corners at 13.1 × scale; the radius is 150.
-        assert_eq!(shell.around_surface(at(2.9), &cameras(), NEAR), all);
-        assert_eq!(shell.around_surface(at(2.8), &cameras(), NEAR), at(2.8));
-        let beside = shell.around_surface(wall(9.0, 9.0), &cameras(), NEAR);
+        assert_eq!(shell.around_surface(at(2.9), &viewers(&cameras(), NEAR)), all);
+        assert_eq!(shell.around_surface(at(2.8), &viewers(&cameras(), NEAR)), at(2.8));
+        let beside = shell.around_surface(wall(9.0, 9.0), &viewers(&cameras(), NEAR));
         assert_eq!(
             (&beside.positions[..4], &beside.triangles[..2]),
             (&*wall(9.0, 9.0).positions, &[[0, 1, 2], [0, 2, 3]][..])

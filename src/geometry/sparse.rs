@@ -12,12 +12,12 @@ use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Tria
 
 use super::bvh::MeshBvh;
 use super::fusion::MAX_BYTES;
-use super::quantile::median;
 use super::raster::pixels_in;
 use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_depths};
 use super::surface::Surface;
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
+use crate::stats::median;
 
 /// A camera and what it sees of a cloud of points.
 #[derive(Clone, Debug)]
@@ -323,7 +323,7 @@ fn judged_at_once(
     views.par_iter().zip(seen).for_each(|(view, seen)| {
         let origin = view.camera.center();
         for &point in seen {
-            // The ray's parameter is 1 at the point.
+            // The ray's parameter is 1 at the point. No [`super::Sight`]: lists name points outside pictures, too, as lenses showed them.
             let along = points[point as usize].as_dvec3() - origin;
             for hit in bvh.hits_before(origin, along, 1.0 - IN_THE_WAY) {
                 hidden[hit.mesh as usize][hit.triangle as usize].fetch_add(1, Ordering::Relaxed);

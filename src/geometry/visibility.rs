@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
 
 use super::{
-    GeometryError, MeshBvh,
+    GeometryError, MeshBvh, Sight, Viewers,
     raster::{texel_positions, texels_in, texels_touched},
 };
 use crate::scene::{Camera, Mesh, Texture};
@@ -21,19 +21,6 @@ const SAME_PLACE_GRAZING: f64 = 1e-2;
 const THIN: f64 = 1.0;
 /// Roundings of f32 positions, relative to their largest coordinate, within which triangles lie on each other.
 const ROUNDING: f64 = 4.0 * (f32::EPSILON as f64);
-
-/// Who looks, and how far through.
-#[derive(Clone, Copy)]
-pub struct Viewers<'a> {
-    /// Cameras in the mesh's frame, of pictures at the size at which they are rendered.
-    pub cameras: &'a [Camera],
-    /// What is no farther than this, in camera-space z, is not drawn and hides nothing; ≥ 0.
-    pub near: f64,
-    /// Triangles that a pixel shows, nearest first, at least 1: what as many others hide is not seen.
-    pub layers: usize,
-    /// Whether the picture of a camera, by its index, says anything at a continuous pixel position inside it, as not where it is masked.
-    pub shows: &'a (dyn Fn(usize, DVec2) -> bool + Sync),
-}
 
 /// What views see of a texel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -251,29 +238,23 @@ impl<'a> Look<'a> {
     fn at(&mut self, face: &Face, point: DVec3) -> TexelSight {
         for i in 0..self.order.len() {
             let (view, level) = self.order[i];
-            let camera = &self.viewers.cameras[view];
-            let p = camera.to_camera(point);
-            let uv = camera.in_picture(p).filter(|_| p.z > self.viewers.near);
-            if !uv.is_some_and(|uv| (self.viewers.shows)(view, uv)) {
-                continue;
-            }
+            let Some(sight) = self.viewers.sight(view, point) else { continue };
             self.rays += 1;
-            if self.is_clear(camera.center(), point, self.viewers.near / p.z, face.normal) {
+            if sight.is_clear(self.hidden_by, self.viewers.layers, same_place(&sight, point, face.normal)) {
                 let first = self.order.partition_point(|(_, other)| *other > level);
                 self.order[first..=i].rotate_right(1);
-                return TexelSight::Seen(mip_level(camera, p, face.texel, self.coarsest));
+                let camera = &self.viewers.cameras[view];
+                return TexelSight::Seen(mip_level(camera, sight.in_camera, face.texel, self.coarsest));
             }
         }
         TexelSight::Hidden
     }
+}
 
-    /// Whether few enough triangles are before a point on a plane, from part `t_min` of the way to it.
-    fn is_clear(&self, from: DVec3, point: DVec3, t_min: f64, normal: DVec3) -> bool {
-        let way = point - from;
-        let rounding = ROUNDING * point.abs().max_element() / way.dot(normal).abs().max(f64::MIN_POSITIVE);
-        let same_place = rounding.clamp(SAME_PLACE, SAME_PLACE_GRAZING);
-        !self.hidden_by.has_layers(self.viewers.layers, from, way, t_min, 1.0 - same_place)
-    }
+/// The last part of the way to a point on a plane in which a triangle is where the point is.
+fn same_place(sight: &Sight, point: DVec3, normal: DVec3) -> f64 {
+    let rounding = ROUNDING * point.abs().max_element() / sight.way.dot(normal).abs().max(f64::MIN_POSITIVE);
+    rounding.clamp(SAME_PLACE, SAME_PLACE_GRAZING)
 }
 
 /// The highest mip level that a pixel reads at camera-space point `p` of a surface with these world-space steps per texel: by the longer axis of

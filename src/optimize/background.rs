@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     capture::{Capture, CaptureError, Photo, Point, View, extent},
-    scene::{Camera, LARGEST_COORDINATE, Splats},
+    scene::{Camera, LARGEST_COORDINATE, Splats, center_and_spread},
 };
 
 /// Directions that are looked at, all around: some 3° apart.
@@ -79,9 +79,10 @@ pub(super) fn behind_points(
 /// Where the splats lie: around the cameras, beyond all points but the outermost hundredth, which may be mismatched.
 fn sphere(views: &[&View], points: &[Point]) -> Option<(DVec3, f64)> {
     let cameras = || views.iter().map(|v| &v.camera);
-    let center = cameras().map(Camera::center).sum::<DVec3>() / views.len().max(1) as f64;
+    let (center, _) = center_and_spread(cameras());
     let mut distances: Vec<f64> = points.iter().map(|p| p.position.distance(center)).collect();
     distances.retain(|d| d.is_finite());
+    // Unlike a quantile it leaves out one at least.
     let most = distances.len().checked_sub(1 + distances.len().div_ceil(100))?;
     let reach = *distances.select_nth_unstable_by(most, f64::total_cmp).1;
     let radius = (DISTANCE * extent(cameras())).max(1.5 * reach);
@@ -122,9 +123,8 @@ impl Clear {
     /// The colour of a clear direction in the view's picture, where that is whole.
     fn color(&self, direction: DVec3, photo: &Photo) -> Option<Vec3> {
         let uv = self.pixel_of(direction).filter(|_| self.is_clear(direction) == Some(true))?;
-        let p = uv.y as usize * photo.width as usize + uv.x as usize;
-        let rgba = photo.rgba.get(4 * p..4 * p + 4)?;
-        (rgba[3] == 255).then(|| Vec3::new(f32::from(rgba[0]), f32::from(rgba[1]), f32::from(rgba[2])) / 255.0)
+        let rgb = photo.whole(photo.index_at(uv))?;
+        Some(Vec3::from(rgb.map(f32::from)) / 255.0)
     }
 
     /// Whether no point is near that direction; `None` if the view does not look there.

@@ -15,8 +15,9 @@ use super::{
 };
 use crate::{
     capture::{CaptureError, Photo, View},
-    geometry::{MeshBvh, quantile},
+    geometry::{MeshBvh, Sight},
     scene::{Camera, LARGEST_COORDINATE, Splats},
+    stats::quantile,
 };
 
 /// How far beyond its picture a view is covered, as a part of the longer side: others may see there what none of the training views do.
@@ -60,8 +61,7 @@ pub(super) struct Known<'a> {
 impl Known<'_> {
     /// Whether a camera sees a mesh where it sees `p`, in between these parts of the way there.
     fn has_mesh(&self, camera: &Camera, p: DVec3, from: f64, to: f64) -> bool {
-        let (eye, near) = (camera.center(), self.near / camera.to_camera(p).z);
-        self.meshes.any_hit(eye, p - eye, from.max(near), to)
+        Sight::to(camera, p, self.near).has_hit(self.meshes, from, to)
     }
 }
 
@@ -314,9 +314,8 @@ fn mean_color([x, y]: [[u32; 2]; 2], margin: u32, photo: &Photo) -> Option<[f32;
     let (mut sum, mut count) = ([0; 3], 0);
     for row in y[0]..y[1] {
         for column in x[0]..x[1] {
-            let at = 4 * (inside(row, photo.height) * photo.width as usize + inside(column, photo.width));
-            let rgba = photo.rgba.get(at..at + 4).filter(|rgba| rgba[3] == 255)?;
-            (0..3).for_each(|c| sum[c] += u64::from(rgba[c]));
+            let rgb = photo.whole(photo.index(inside(column, photo.width), inside(row, photo.height)))?;
+            (0..3).for_each(|c| sum[c] += u64::from(rgb[c]));
             count += 1;
         }
     }

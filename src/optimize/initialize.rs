@@ -7,8 +7,9 @@ use rand_pcg::Pcg64;
 use crate::render::gpu::state::logit;
 use crate::{
     capture::{Point, extent},
-    geometry::{mean_squared_distance_to_3_neighbors, median},
-    scene::{Camera, OpticalAxes, SceneError, Splats, sh},
+    geometry::mean_squared_distance_to_3_neighbors,
+    scene::{Camera, OpticalAxes, SceneError, Splats, center_and_spread, sh},
+    stats::median,
 };
 
 /// How opaque and how large the first splats are.
@@ -149,7 +150,7 @@ fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
 fn focus(cameras: &[Camera]) -> (DVec3, f64) {
     common_focus(cameras).unwrap_or_else(|| {
         let n = cameras.len().max(1) as f64;
-        let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / n;
+        let (mean, _) = center_and_spread(cameras);
         let axis = cameras.iter().map(|c| c.rotation().row(2)).sum::<DVec3>() / n;
         let reach = match 3.0 * extent(cameras) {
             e if e > 0.0 => e,

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use glam::Vec3;
+use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
-use super::cut_out::shows;
 use crate::{
     capture::{Capture, CaptureError, DECODED_AT_ONCE, Photo, View},
     geometry::PointView,
     scene::Camera,
+    stats::median,
 };
 
 /// Points that the median view must be known to see for a surface of points by default: some too few for its triangles to be
@@ -42,7 +42,8 @@ pub fn point_views(
         let Some(photo) = photo_of(&capture.views[*i])? else { return Ok(()) };
         let camera = of_view.camera;
         let at = |point: &Vec3| camera.in_picture(camera.to_camera(point.as_dvec3()));
-        of_view.sees.retain(|&p| points.get(p as usize).and_then(at).is_some_and(|at| shows(&photo, at)));
+        let is_left = |at: DVec2| !photo.is_cut_out(photo.index_at(at));
+        of_view.sees.retain(|&p| points.get(p as usize).and_then(at).is_some_and(is_left));
         Ok::<_, CaptureError>(())
     };
     for part in seen.chunks_mut(DECODED_AT_ONCE) {
@@ -62,7 +63,6 @@ pub(super) fn are_few_left(capture: &Capture, views: &[usize], seen: &[PointView
 }
 
 /// Whether the median view sees enough points for a surface of them, by how many each sees.
-pub(super) fn are_many(mut seen: Vec<usize>) -> bool {
-    seen.sort_unstable();
-    seen.get(seen.len() / 2).is_some_and(|&median| median >= LEAST_SEEN)
+pub(super) fn are_many(seen: Vec<usize>) -> bool {
+    median(seen.into_iter().map(|count| count as f64).collect()).is_some_and(|median| median >= LEAST_SEEN as f64)
 }

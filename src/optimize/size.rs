@@ -3,9 +3,9 @@
 use std::ops::RangeInclusive;
 
 use crate::{
-    capture::{self, Capture, ONE_PLACE},
-    geometry::median,
+    capture::{self, Capture},
     scene::Camera,
+    stats::median,
 };
 
 /// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
@@ -17,10 +17,9 @@ const NARROW: f64 = 0.1;
 /// Points of the pictures of all views, of which the median depth is taken, at most.
 const DEPTHS: usize = 1_000_000;
 
-/// [`capture::extent`] of cameras; where they are all in one place, how far away is what they see, and 1 if nothing tells.
+/// [`capture::extent_or_depth`] of cameras, and 1 if nothing tells.
 pub(super) fn extent(cameras: &[Camera], depth: Option<f64>) -> f64 {
-    let extent = capture::extent(cameras);
-    if extent > ONE_PLACE * depth.unwrap_or(0.0) { extent } else { depth.unwrap_or(1.0) }
+    capture::extent_or_depth(cameras, depth).unwrap_or(1.0)
 }
 
 /// Near plane of a scene of this extent ([`extent`]): as wanted, but no more than a twentieth of it.

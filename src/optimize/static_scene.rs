@@ -11,6 +11,7 @@ mod density_step;
 mod finding;
 mod handover;
 mod identity;
+mod masks;
 mod origin;
 mod phase;
 mod photographs;

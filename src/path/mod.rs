@@ -11,6 +11,7 @@ mod tests;
 use glam::{DMat3, DVec3};
 
 use crate::scene::{Camera, Intrinsics, SceneError};
+use crate::stats::median_by;
 use rig::Rig;
 pub use spline::{Spline, spline};
 
@@ -164,12 +165,10 @@ fn axes(forward: DVec3, up: DVec3) -> DMat3 {
 /// Intrinsics of all frames: the principal point is in the middle, pixels have the aspect of the view's.
 fn intrinsics(views: &[Camera], shot: &Shot) -> Result<Intrinsics, PathError> {
     let fov = |c: &Camera| 2.0 * (f64::from(c.intrinsics().height) / (2.0 * c.intrinsics().fy)).atan();
-    let mut by_fov: Vec<&Camera> = views.iter().collect();
-    by_fov.sort_by(|a, b| fov(a).total_cmp(&fov(b)));
-    let view = *by_fov.get(views.len() / 2).ok_or(PathError::TooFew { expected: 1, found: 0 })?;
+    let view = median_by(views.to_vec(), fov).ok_or(PathError::TooFew { expected: 1, found: 0 })?;
     let own = view.intrinsics();
     let [width, height] = shot.size.unwrap_or([own.width, own.height]);
-    let fy = 0.5 * f64::from(height) / (0.5 * shot.fov_y.unwrap_or_else(|| fov(view))).tan();
+    let fy = 0.5 * f64::from(height) / (0.5 * shot.fov_y.unwrap_or_else(|| fov(&view))).tan();
     let [cx, cy] = [width, height].map(|side| 0.5 * f64::from(side));
     Ok(Intrinsics { width, height, fx: fy * own.fx / own.fy, fy, cx, cy })
 }

@@ -5,6 +5,7 @@
 //! Colours are display-referred (sRGB-encoded) unless [`Composition::color_space`] says otherwise.
 
 mod camera;
+mod centers;
 pub mod color;
 mod composition;
 pub mod frame;
@@ -22,6 +23,7 @@ use rayon::prelude::*;
 
 pub(crate) use camera::nearest_rotation;
 pub use camera::{Camera, Intrinsics};
+pub use centers::center_and_spread;
 pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
 pub use gather::gather;
 pub(crate) use gather::keep_rows;

@@ -5,19 +5,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules of the library and what of ours each may import.
-const MAY_IMPORT: [(&str, &[&str]); 12] = [
+const MAY_IMPORT: [(&str, &[&str]); 13] = [
     ("atomic", &[]),
     ("base64", &[]),
     ("scene", &[]),
-    ("capture", &["atomic", "scene", "format"]),
+    ("stats", &[]),
+    ("capture", &["atomic", "scene", "format", "stats"]),
     ("edit", &["scene"]),
     ("format", &["atomic", "base64", "scene"]),
-    ("geometry", &["scene"]),
+    ("geometry", &["scene", "stats"]),
     ("metrics", &["base64", "scene"]),
-    ("path", &["scene"]),
-    ("render", &["scene", "geometry"]),
+    ("path", &["scene", "stats"]),
+    ("render", &["scene", "geometry", "stats"]),
     ("evaluate", &["scene", "capture", "metrics", "render"]),
-    ("optimize", &["atomic", "scene", "capture", "edit", "evaluate", "geometry", "render"]),
+    ("optimize", &["atomic", "scene", "capture", "edit", "evaluate", "geometry", "render", "stats"]),
 ];
 
 /// Directories below `src` in which no file imports one that imports it, be it by way of others. What a directory holds besides, and what

@@ -1,13 +1,13 @@
 //! First colours of the shell behind everything: what photographs show there. It is so far away that they agree where it is right, and
 //! with every texel seen by few views, maps that begin grey would need longer than a warm-up is.
 
-use glam::{DVec2, DVec3, Vec2};
+use glam::{DVec3, Vec2};
 use rayon::prelude::*;
 
 use super::Run;
 use crate::{
     capture::Photo,
-    geometry::{MeshBvh, Shell},
+    geometry::{MeshBvh, Shell, Viewers},
     optimize::TrainError,
     scene::{Atlas, Camera, Mesh, Texture, sh},
 };
@@ -49,13 +49,15 @@ impl Run<'_> {
             .filter(|(t, _)| is_far(t))
             .map(|(t, uvs)| Face::new(t.map(|v| mesh.positions()[v as usize].as_dvec3()), *uvs, base.width()))
             .collect();
-        let (exposures, near) = (self.exposures.as_ref(), f64::from(self.near));
+        let exposures = self.exposures.as_ref();
+        // All cameras, by the capture's numbers.
+        let viewers = Viewers { cameras: &self.cameras, layers: 1, ..self.viewers() };
         for i in self.views(false) {
             let view = &self.capture.views[i];
             let photo = self.photos.whole(view)?;
             let camera = &self.cameras[i];
             let color = |rgb| exposures.map_or(rgb, |exposures| exposures.undo(i, rgb));
-            let is_seen = |face: &&mut Face| face.corners.iter().all(|p| Shell::is_seen(camera, *p, &bvh, near));
+            let is_seen = |face: &&mut Face| face.corners.iter().all(|p| Shell::is_seen(&viewers, i, *p, &bvh));
             faces.par_iter_mut().filter(is_seen).for_each(|face| face.add(camera, &photo, color));
         }
         let mut texels = base.texels().to_vec();
@@ -100,30 +102,12 @@ impl Face {
 
     fn add(&mut self, camera: &Camera, photo: &Photo, color: impl Fn([f32; 3]) -> [f32; 3]) {
         for spot in &mut self.spots {
-            let Some(rgb) = sample(photo, camera.project(camera.to_camera(spot.position))) else { continue };
+            let Some(rgb) = photo.sample(camera.project(camera.to_camera(spot.position))) else { continue };
             let rgb = color(rgb);
             spot.sum = [0, 1, 2].map(|k| spot.sum[k] + rgb[k]);
             spot.views += 1.0;
         }
     }
-}
-
-/// Colour at a place in pixels, between their centres; at the border that of the last. `None` where a pixel there has none, as where
-/// undistortion reached outside the photograph.
-fn sample(photo: &Photo, at: DVec2) -> Option<[f32; 3]> {
-    let last = DVec2::new(f64::from(photo.width) - 1.0, f64::from(photo.height) - 1.0);
-    let at = (at - 0.5).clamp(DVec2::ZERO, last);
-    let (x, y) = (at.x as usize, at.y as usize);
-    let (fx, fy) = (at.x.fract() as f32, at.y.fract() as f32);
-    let (right, below) = ((x + 1).min(last.x as usize), (y + 1).min(last.y as usize));
-    let value = |x: usize, y: usize, k: usize| f32::from(photo.rgba[4 * (y * photo.width as usize + x) + k]) / 255.0;
-    let has_color = [(x, y), (right, y), (x, below), (right, below)].iter().all(|&(x, y)| value(x, y, 3) > 0.0);
-    has_color.then(|| {
-        [0, 1, 2].map(|k| {
-            let row = |y: usize| value(x, y, k) * (1.0 - fx) + value(right, y, k) * fx;
-            row(y) * (1.0 - fy) + row(below) * fy
-        })
-    })
 }
 
 #[cfg(test)]

@@ -1,9 +1,6 @@
 //! Mesh and splats, each alone, beside the photographs.
 
-use super::{
-    Run,
-    photographs::{counts, squared_error},
-};
+use super::{Run, photographs::squared_error};
 use crate::{
     optimize::TrainError,
     render::gpu::training::{Show, Training},
@@ -28,7 +25,7 @@ impl<'a> Run<'a> {
             let mesh = training.render(camera, background, Show::MeshesAlone)?.rgb;
             let errors: Vec<[f32; 3]> = (mesh.iter().zip(&splats).enumerate())
                 .map(|(p, (mesh, splats))| {
-                    if !counts(&photo, p) {
+                    if !photo.counts(p) {
                         return [0.0; 3];
                     }
                     let [mesh, splats] = [mesh, splats].map(|rgb| self.exposed(i, *rgb));

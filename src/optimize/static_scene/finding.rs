@@ -3,7 +3,7 @@
 use super::Run;
 use crate::{
     capture::View,
-    geometry::{GeometryError, Surface},
+    geometry::{GeometryError, Surface, Viewers},
     optimize::{SurfaceOrigin, TrainError, cut_out, fused, seen_points},
     render::gpu::training::Training,
     scene::Mesh,
@@ -42,7 +42,8 @@ impl Run<'_> {
     /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
     fn textured(&self, training: &Training, surface: Surface) -> Result<Mesh, TrainError> {
         let surface = match &self.shell {
-            Some(shell) => match shell.around_surface(surface.clone(), &self.train_cameras, f64::from(self.near)) {
+            // Past the surface is where nothing of it is, whatever may show through.
+            Some(shell) => match shell.around_surface(surface.clone(), &Viewers { layers: 1, ..self.viewers() }) {
                 // All of it is far away, and no two views see the same part of the shell.
                 both if both.triangles.is_empty() => surface,
                 both => both,

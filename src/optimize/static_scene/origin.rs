@@ -7,7 +7,7 @@ use crate::{
     capture::{self, Capture},
     edit::Similarity,
     optimize::{MeshSource, TrainError, size},
-    scene::{Camera, SceneError},
+    scene::{Camera, SceneError, center_and_spread},
 };
 
 /// Extents that cameras may be away from the origin. At the end means move by some 1.6e-6 of an extent, and floats round what is ten extents
@@ -26,7 +26,7 @@ impl Origin {
     /// `None` for what may stay where it is.
     pub(super) fn of(capture: &Capture) -> Result<Option<Self>, SceneError> {
         let cameras = capture.cameras();
-        let mean = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len().max(1) as f64;
+        let (mean, _) = center_and_spread(&cameras);
         let all: Vec<usize> = (0..cameras.len()).collect();
         if mean.length() <= FAR * size::extent(&cameras, size::median_depth(capture, &all)) {
             return Ok(None);

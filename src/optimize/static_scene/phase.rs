@@ -8,7 +8,7 @@ use rand::{RngExt, seq::SliceRandom};
 use super::{Outcome, Phase, Progress, Run, photographs::truth_alpha, plan::Plan, sampled};
 use crate::{
     evaluate::Comparison,
-    geometry::{Shell, median},
+    geometry::Shell,
     optimize::{
         Background, Density, TrainError, TrainOptions,
         density::mcmc::{self, EpochWeight},
@@ -26,6 +26,7 @@ use crate::{
         view::Dropout,
     },
     scene::{Camera, HybridScene, Mesh, sh},
+    stats::median,
 };
 
 /// Iterations between looks at the loss: each waits for the GPU.

@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use crate::{
     capture::{Capture, CaptureError, DECODED_AT_ONCE, Photo, PhotoCache, View},
     evaluate,
-    optimize::cut_out,
     render::gpu::loss::TruthAlpha,
 };
 
@@ -105,11 +104,6 @@ pub(super) fn truth_alpha(photo: &Photo) -> TruthAlpha {
         (false, true) => TruthAlpha::Composite,
         (false, false) => TruthAlpha::Ignore,
     }
-}
-
-/// Whether a mask leaves in pixel `p` of a photograph, for the most part: what files of masks round does not.
-pub(super) fn counts(photo: &Photo, p: usize) -> bool {
-    !photo.masked || photo.rgba.get(4 * p + 3).is_some_and(|weight| *weight >= cut_out::LEAST_ALPHA)
 }
 
 /// Squared difference of a render from pixel `p` of a photograph, as both are scored.

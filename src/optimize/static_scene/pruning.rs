@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::{Run, unseen::MaskBits};
+use super::{Run, masks::Masks};
 use crate::{
     geometry::{self, Viewers},
     optimize::TrainError,
@@ -28,18 +28,14 @@ impl Run<'_> {
         if meshes.is_empty() {
             return Ok(splats);
         }
-        let shown = self.shown()?;
-        let viewers = Viewers {
-            cameras: &self.train_cameras,
-            near: f64::from(self.composition().near),
-            layers: self.options.layers as usize,
-            shows: &|view, at| shown[view].as_ref().is_none_or(|shown| shown.holds(at)),
-        };
+        let masks = self.masks()?;
+        let shows = |view: usize, at: DVec2| masks.show(view, at);
+        let viewers = Viewers { shows: &shows, ..self.viewers() };
         let occluded = geometry::occluded_splats(&splats, (meshes, &self.hierarchy(meshes)), SHOWN, &viewers);
         if !occluded.contains(&true) {
             return Ok(splats);
         }
-        let mut weights = |show| self.blend_weights(training, &shown, show);
+        let mut weights = |show| self.blend_weights(training, &masks, show);
         let (beside, alone) = (weights(Show::All)?, weights(Show::SplatsAlone)?);
         let is_seen = |i: &usize| !occluded[*i] || beside[*i] > SHOWN * alone[*i];
         let seen: Vec<usize> = (0..occluded.len()).filter(is_seen).collect();
@@ -47,29 +43,20 @@ impl Run<'_> {
     }
 
     /// The trained mesh without the triangles that show next to nothing and hide nothing of it, see
-    /// [`geometry::faint_triangles`]. The maps stay as they are. `None` if nothing is left.
+    /// [`geometry::faint_triangles`], also where masks leave nothing in: it may be seen from there. The maps stay as they are. `None` if
+    /// nothing is left.
     pub(super) fn without_faint(&self, mesh: Mesh) -> Option<Mesh> {
-        let near = f64::from(self.composition().near);
-        let faint = geometry::faint_triangles(&mesh, FAINT, &self.train_cameras, near);
+        let faint = geometry::faint_triangles(&mesh, FAINT, &self.viewers());
         let keep: Vec<bool> = faint.iter().map(|faint| !faint).collect();
         if keep.contains(&false) { mesh.with_triangles(&keep) } else { Some(mesh) }
     }
 
     /// Σ of the blend weights of every splat `[N]` over all pixels that the training views show.
-    fn blend_weights(
-        &self,
-        training: &mut Training,
-        shown: &[Option<MaskBits>],
-        show: Show,
-    ) -> Result<Vec<f64>, TrainError> {
+    fn blend_weights(&self, training: &mut Training, masks: &Masks, show: Show) -> Result<Vec<f64>, TrainError> {
         let mut sums = vec![];
-        for (camera, shown) in self.train_cameras.iter().zip(shown) {
-            let (width, height) = (camera.intrinsics().width as usize, camera.intrinsics().height as usize);
-            let is_shown = |p: usize| {
-                let at = DVec2::new((p % width) as f64, (p / width) as f64) + 0.5;
-                shown.as_ref().is_none_or(|shown| shown.holds(at))
-            };
-            let values: Vec<[f32; 3]> = (0..width * height).map(|p| [f32::from(u8::from(is_shown(p))); 3]).collect();
+        for (view, camera) in self.train_cameras.iter().enumerate() {
+            let value = |pixel: usize| [f32::from(u8::from(masks.show_pixel(view, pixel))); 3];
+            let values: Vec<[f32; 3]> = (0..camera.intrinsics().pixels()).map(value).collect();
             let weights = training.gather(camera, &values, show)?;
             sums.resize(weights.len(), 0.0);
             sums.iter_mut().zip(weights).for_each(|(sum, [weight, ..])| *sum += f64::from(weight));

@@ -1,12 +1,11 @@
 //! What no training view sees of a mesh that is brought along is transparent.
 
 use glam::DVec2;
-use rayon::prelude::*;
 
 use super::Run;
 use crate::{
     geometry::{self, TexelSight, TexelVisibility, Viewers},
-    optimize::{TrainError, cut_out::LEAST_ALPHA, resolution::ResolutionSchedule},
+    optimize::{TrainError, resolution::ResolutionSchedule},
     scene::{Atlas, Mesh, Texture},
 };
 
@@ -16,12 +15,6 @@ const LONGEST_SIDE: usize = 1024;
 const RIM: usize = 2;
 /// Opacity logit of what is not seen: the least that maps have (`adam_texels.wgsl`).
 pub(super) const TRANSPARENT: f32 = -6.0;
-
-/// Which pixels of a photograph a mask leaves in, for the most part, 64 to a number.
-pub(super) struct MaskBits {
-    width: usize,
-    pixels: Vec<u64>,
-}
 
 impl Run<'_> {
     /// The mesh with those texels of charts and their rims transparent that enter nothing that the training views show: they would stay as they
@@ -61,25 +54,10 @@ impl Run<'_> {
 
     /// What the training views see of a map of `size` texels, (width, height), if there is no other mesh.
     pub(super) fn texel_visibility(&self, mesh: &Mesh, size: [usize; 2]) -> Result<TexelVisibility, TrainError> {
-        let shown = self.shown()?;
-        let shows = |view: usize, at: DVec2| shown[view].as_ref().is_none_or(|shown| shown.holds(at));
-        let viewers = Viewers {
-            cameras: &self.train_cameras,
-            near: f64::from(self.composition().near),
-            layers: self.options.layers as usize,
-            shows: &shows,
-        };
+        let masks = self.masks()?;
+        let shows = |view: usize, at: DVec2| masks.show(view, at);
+        let viewers = Viewers { shows: &shows, ..self.viewers() };
         Ok(geometry::texel_visibility(mesh, size, &self.hierarchy(std::slice::from_ref(mesh)), &viewers)?)
-    }
-
-    /// What masks leave of the training views, where there are any.
-    pub(super) fn shown(&self) -> Result<Vec<Option<MaskBits>>, TrainError> {
-        let (photos, capture) = (&self.photos, self.capture);
-        let of_view = |&i: &usize| {
-            let photo = photos.whole(&capture.views[i])?;
-            Ok(photo.masked.then(|| MaskBits::new(photo.width as usize, &photo.rgba)))
-        };
-        self.train.par_iter().map(of_view).collect()
     }
 }
 
@@ -102,19 +80,6 @@ fn hidden(sights: &TexelVisibility, reached: &[bool], rim: usize) -> Vec<bool> {
     hidden
 }
 
-impl MaskBits {
-    fn new(width: usize, rgba: &[u8]) -> Self {
-        let bits =
-            |row: &[u8]| row.chunks_exact(4).rev().fold(0, |bits, rgba| bits << 1 | u64::from(rgba[3] >= LEAST_ALPHA));
-        Self { width, pixels: rgba.chunks(4 * 64).map(bits).collect() }
-    }
-
-    pub(super) fn holds(&self, at: DVec2) -> bool {
-        let pixel = at.y as usize * self.width + at.x as usize;
-        self.pixels.get(pixel / 64).is_some_and(|bits| bits >> (pixel % 64) & 1 == 1)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -135,19 +100,5 @@ mod tests {
             let expected: Vec<bool> = (0..10 * 4).map(|i| i % 10 <= last).collect();
             assert_eq!(hidden, expected, "{coarser} {rim}");
         }
-    }
-
-    #[test]
-    fn masks_are_kept_by_the_bit() {
-        // 9 pixels to a row, so that rows do not begin with a number.
-        // Black is what JPEG leaves of it.
-        let alpha = |pixel: usize| if pixel % 7 == 3 { 200 } else { 3 };
-        let rgba: Vec<u8> = (0..9 * 20).flat_map(|pixel| [0, 0, 0, alpha(pixel)]).collect();
-        let shown = MaskBits::new(9, &rgba);
-        for pixel in 0..9 * 20 {
-            let at = DVec2::new((pixel % 9) as f64 + 0.9, (pixel / 9) as f64);
-            assert_eq!(shown.holds(at), alpha(pixel) == 200, "{pixel}");
-        }
-        assert!(!shown.holds(DVec2::new(8.0, 30.0)));
     }
 }

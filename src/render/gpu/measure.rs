@@ -11,8 +11,8 @@ use super::{
     training::{Step, Training},
     view::{Dropout, TILE},
 };
-use crate::geometry::median;
 use crate::scene::{Camera, HybridScene, sh};
+use crate::stats::median;
 
 /// Steps between two waits of the host for a GPU, as `optimize::static_scene` waits for losses.
 const STEPS_A_WAIT: u32 = 10;

@@ -9,7 +9,7 @@ use super::{
     per_view::{PerView, PerViewBuffers},
     pipeline::Pipeline,
 };
-use crate::scene::Camera;
+use crate::scene::{Camera, center_and_spread};
 
 /// Workgroups of `pull`: as many as threads of `update`.
 const PARTS: usize = 256;
@@ -52,7 +52,7 @@ impl PoseState {
     /// rotations (radians) counting as much as centres (of `cameras`' root mean square distance from their mean).
     pub(crate) fn center(&mut self, cameras: &[Camera], views: &[usize]) {
         let n = views.len().max(1) as f64;
-        let mean = views.iter().map(|&i| cameras[i].center()).sum::<DVec3>() / n;
+        let (mean, _) = center_and_spread(views.iter().map(|&i| &cameras[i]));
         let found: Vec<_> = (views.iter())
             .map(|&i| {
                 let ([turn, shift], d) = (self.of(i), cameras[i].center() - mean);

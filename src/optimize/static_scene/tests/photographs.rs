@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::{capture::View, geometry, optimize::seen_points};
+use crate::{capture::View, geometry, optimize::seen_points, stats};
 
 /// The demo, with its photographs changed: by name from 0.
 fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
@@ -88,8 +88,7 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
 fn a_surface_is_of_what_masks_leave() {
     let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
     let whole = changed(folder.path(), |_, _| {});
-    let along =
-        |axis: usize| geometry::median(whole.points.iter().map(|point| point.position[axis]).collect()).unwrap();
+    let along = |axis: usize| stats::median(whole.points.iter().map(|point| point.position[axis]).collect()).unwrap();
     let middle = DVec3::new(along(0), along(1), along(2));
     // Training views that judge, as they are counted without those held out.
     let judges = |i: usize| !i.is_multiple_of(8) && (i - i / 8 - 1) % 4 == 2;
