@@ -44,7 +44,8 @@ pub enum EvaluateError {
 
 /// Scores a scene on the held-out views of its capture, with LPIPS where there are weights.
 ///
-/// Give the capture as it was opened for training: scores at other sizes do not compare. Of [`Measured`] what only the caller knows is left
+/// Give the capture as it was opened for training: scores at other sizes do not compare. The scene has to be in its world, in which
+/// [`read_scene`](crate::format::read_scene) has whatever was trained on it. Of [`Measured`] what only the caller knows is left
 /// empty: the scene's file and its training.
 ///
 /// ```no_run

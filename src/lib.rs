@@ -5,21 +5,40 @@
 //! ARCHITECTURE.md has the map and the invariants. Types of [`glam`], [`image`] and [`serde_json`] are part of the interface: they are re-exported, so
 //! that versions agree.
 //!
-//! A scene from a file, rendered from one of the cameras that are in it, as a picture and as depths (camera-space z, world units):
+//! A scene from a file, rendered as a PNG and written in another format. Scenes are in the frame of captures, y down, as [`format::read_scene`] and
+//! [`format::write_scene`] turn glTF and USD, which are y up:
+//!
+//! ```no_run
+//! use centaur::{
+//!     format::{WriteOptions, read_scene, write_scene},
+//!     glam::DVec3,
+//!     render::gpu::{Gpu, Renderer},
+//!     scene::{Camera, Intrinsics},
+//! };
+//!
+//! let scene = read_scene("garden.glb".as_ref())?;
+//! // From four units before the origin and one above it.
+//! let lens = Intrinsics::from_fov_y(1280, 720, 50_f64.to_radians());
+//! let camera = Camera::look_at(lens, DVec3::new(0.0, -1.0, -4.0), DVec3::ZERO, DVec3::NEG_Y)?;
+//! let gpu = Gpu::open(None)?;
+//! let picture = Renderer::new(&gpu, &scene, &[camera])?.render(&camera)?;
+//! picture.to_image(scene.composition.color_space).save("garden.png")?;
+//! let report = write_scene("garden.usdz".as_ref(), &scene, &WriteOptions::default())?;
+//! println!("{} bytes; lost: {}", report.bytes, report.loss);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Depths (camera-space z, world units) from one of the cameras that are in the file:
 //!
 //! ```no_run
 //! use centaur::{
 //!     format::{ReadOptions, read_file},
-//!     image,
-//!     render::{contract::ImageModel, gpu::{Gpu, LayeredRenderer, Renderer}},
+//!     render::{contract::ImageModel, gpu::{Gpu, LayeredRenderer}},
 //! };
 //!
 //! let file = read_file("garden.glb".as_ref(), &ReadOptions::default())?;
 //! let (_, camera) = file.cameras.first().ok_or("no camera in it")?;
 //! let gpu = Gpu::open(None)?;
-//! let picture = Renderer::new(&gpu, &file.scene, &[*camera])?.render(camera)?;
-//! let bytes = picture.to_rgb8(file.scene.composition.color_space);
-//! image::save_buffer("garden.png", &bytes, picture.width, picture.height, image::ColorType::Rgb8)?;
 //! let parts = LayeredRenderer::new(&gpu, &file.scene, &[*camera], ImageModel::default())?.render(camera)?;
 //! println!("farthest: {}", parts.median_depth.iter().copied().fold(0.0, f32::max));
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
-use centaur::edit::{self, Similarity};
+use centaur::edit;
 use centaur::format::ply::Attribute;
 use centaur::format::{
     self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, gltf, one_line, spz,
@@ -233,7 +233,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
             states_composition,
             cameras: own,
             mut notes,
-            y_up,
+            y_up: _,
             attributes: extra,
             dropped,
             source,
@@ -242,11 +242,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
         if let Some(source) = source.as_ref().filter(|_| !one) {
             notes.extend(source.remainder().iter().map(|part| format!("left out on joining: {part}")));
         }
-        let mut read = Edited { scene, cameras: own, attributes: extra, source, record: None, steps: vec![] };
-        if y_up {
-            read = read.moved(&Similarity::HALF_TURN).with_context(|| file.display().to_string())?;
-        }
-        let (splats, meshes) = (read.scene.splats.len(), read.scene.meshes.len());
+        let (splats, meshes) = (scene.splats.len(), scene.meshes.len());
         let (can_drop, dropped) = (dropped.is_some(), dropped.unwrap_or(0));
         let has_record = own_record.is_some();
         inputs.push(Input {
@@ -260,10 +256,10 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
             states_composition,
         });
         record = own_record.filter(|_| one);
-        scenes.push(read.scene);
-        cameras.extend(read.cameras);
-        attributes.push(read.attributes);
-        document = read.source.filter(|_| one);
+        scenes.push(scene);
+        cameras.extend(own);
+        attributes.push(extra);
+        document = source.filter(|_| one);
         bar.inc(1);
     }
     let attributes = joined(&attributes, &mut inputs);

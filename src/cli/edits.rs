@@ -146,7 +146,7 @@ impl EditArgs {
 
 impl Edited {
     /// The scene and its cameras, moved together.
-    pub(super) fn moved(self, by: &Similarity) -> Result<Self> {
+    fn moved(self, by: &Similarity) -> Result<Self> {
         if *by == Similarity::IDENTITY {
             return Ok(self);
         }

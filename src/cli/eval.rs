@@ -80,9 +80,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let training = file.record.as_ref().and_then(Record::read);
     drop(file.source);
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
-    let (mut scene, turned) =
-        shared::in_capture_frame(file.scene, file.y_up).with_context(|| args.scene.display().to_string())?;
-    notes.extend(turned.map(|note| format!("{}: {note}", args.scene.display())));
+    let mut scene = file.scene;
+    notes.extend(shared::turned(file.y_up).map(|note| format!("{}: {note}", args.scene.display())));
     if let Some(background) = args.background {
         scene.composition.background = background.color();
     }
@@ -95,7 +94,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // Cameras of other programs may have no size of their own.
     notes.extend(training.as_ref().and_then(|_| other_names(&file.cameras, &capture)));
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
-    notes.extend(training.as_ref().filter(|_| !file.y_up).and_then(|_| other_places(&file.cameras, &capture)));
+    notes.extend(training.as_ref().and_then(|_| other_places(&file.cameras, &capture)));
     notes.extend(args.output.as_deref().and_then(|folder| leftover(folder, &capture)));
     if args.loading.masks && !capture.has_masks() {
         notes.push(format!("{}: has no masks: nothing is masked", args.capture.display()));

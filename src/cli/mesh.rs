@@ -223,15 +223,14 @@ fn from_mesh(file: &Path, args: &Args) -> Result<Made> {
 
 fn from_splats(splats: &Path, capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Result<Made> {
     let file = read_file(splats, &ReadOptions::default())?;
-    let named = || splats.display().to_string();
-    let (scene, turned) = shared::in_capture_frame(file.scene, file.y_up).with_context(named)?;
+    let (scene, turned) = (file.scene, shared::turned(file.y_up));
     notes.extend(file.notes.into_iter().chain(turned).map(|note| format!("{}: {note}", splats.display())));
     ensure!(!scene.splats.is_empty(), "{}: expected trained splats, found none", splats.display());
     let gpu = args.adapter.open()?;
     let mut views = Views::new(&args.messages, "fusing", capture.views.len());
     let reached = |view| views.reach(view + 1);
     let (surface, steps) = surface_from_splats(&gpu, &scene, capture, args.triangles, args.planar.is_auto(), reached)
-        .with_context(named)?;
+        .with_context(|| splats.display().to_string())?;
     views.finish();
     Ok(Made { surface, steps, origin: SurfaceOrigin::Splats })
 }

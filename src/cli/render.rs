@@ -223,8 +223,9 @@ impl Args {
                 if file.y_up { ("the frame of captures", "y up") } else { ("y up", "in the frame of captures") };
             shot.notes
                 .push(format!("taken to be in {theirs}: turned half about x, as {} is {scenes}", self.scene.display()));
-            shot = shot.in_frame(file.y_up);
         }
+        // Where the scene has been read to.
+        shot = shot.in_frame(false);
         let moving = moving(file);
         if let Some(When::Span(start, end)) = self.time {
             let document = moving.with_context(|| {
@@ -303,7 +304,7 @@ fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], ar
         };
         let rendered = renderer.render(camera).with_context(|| name.clone())?;
         kept = Some(renderer);
-        let picture = write::File { path, camera, composition, y_up: file.y_up, args };
+        let picture = write::File { path, camera, composition, args };
         match rendered {
             Rendered::Parts(parts) if args.look.layers => picture.layers(parts)?,
             Rendered::Parts(parts) => picture.picture(parts.flattened(composition.background))?,

@@ -5,12 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
 use centaur::capture::{self, Cameras, Capture, Downscale, FRAME_RATES, LoadOptions};
-use centaur::edit::Similarity;
 use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
 use centaur::format::{self, CameraFile, Sampling};
 use centaur::render::gpu::Gpu;
-use centaur::scene::{HybridScene, Intrinsics};
+use centaur::scene::Intrinsics;
 
 /// A step that finds out by itself where there is something for it to do.
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -144,13 +143,9 @@ pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
     rate.filter(|rate| FRAME_RATES.contains(rate)).ok_or_else(expected)
 }
 
-/// A scene as `read_file` found it in the frame of captures, as `centaur convert` puts it there, and what there is to say of it.
-pub(super) fn in_capture_frame(scene: HybridScene, y_up: bool) -> Result<(HybridScene, Option<String>)> {
-    if !y_up {
-        return Ok((scene, None));
-    }
-    let note = "is y up, as glTF and USD are: turned half about x into the frame of captures";
-    Ok((Similarity::HALF_TURN.scene(scene)?, Some(note.to_owned())))
+/// What there is to say, beside a capture, of a scene that `read_file` has turned into its frame.
+pub(super) fn turned(y_up: bool) -> Option<String> {
+    y_up.then(|| "is y up, as glTF and USD are: turned half about x into the frame of captures".to_owned())
 }
 
 /// Cameras of a capture (a folder or `.json`), or of a glTF or USD file.

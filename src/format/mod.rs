@@ -140,6 +140,11 @@ impl NotedSplats {
 /// `.splat` or `.ksplat`. They are told by their content; the last two, which have no mark of their
 /// own, and the `meta.json` or `lod-meta.json` of a SOG that is a folder by the file's name.
 ///
+/// The scene is in the frame of captures: x to the right, y down, z forward, as OpenCV's cameras have it. glTF and USD of other programs,
+/// which are y up, are turned half about x ([`OPENGL_FROM_OPENCV`](crate::scene::frame::OPENGL_FROM_OPENCV));
+/// [`write_scene`] turns them again, so that they stay where they were. What states no frame, as `.ply`, is taken as it is. Rewriting coordinates in other frames is for
+/// [`edit::Axes`](crate::edit::Axes).
+///
 /// # Errors
 /// If the file cannot be read or is none of these; see [`gltf::read`], [`usd::read`], [`ply::read`], [`sog::read`],
 /// [`spz::read`], [`splat::read`] and [`ksplat::read`].

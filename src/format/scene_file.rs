@@ -8,13 +8,14 @@ use super::error::Fault;
 use super::ply::Attribute;
 use super::splat_record::SplatRecord;
 use super::{
-    FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, gltf, has_extension, kind,
-    ksplat, mitsuba, ply, sog, splat, spz, usd,
+    FormatError, Kind, Loss, NotedSplats, SplatError, WriteReport, activation, blender, cameras, gltf, has_extension,
+    kind, ksplat, mitsuba, placed, ply, sog, splat, spz, usd,
 };
 use crate::atomic;
-use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats};
+use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats, frame::HALF_TURN};
 
-/// What a file says about a scene.
+/// What a file says about a scene, which is in the frame of captures: x to the right, y down, z forward, as COLMAP, INRIA's `.ply` and
+/// [`HybridScene`] have it, whatever the frame of the file.
 #[derive(Clone, Debug)]
 pub struct SceneFile {
     /// Splats, meshes and composition.
@@ -25,8 +26,10 @@ pub struct SceneFile {
     pub cameras: Vec<(String, Camera)>,
     /// What could not be taken over exactly, one sentence each.
     pub notes: Vec<String>,
-    /// True where the frame is glTF's, y up; false where it is the capture's: in files that Centaur wrote, and in formats
-    /// that state no frame.
+    /// Whether the world of the file is y up, as those of glTF and USD are: the scene and its cameras have been turned from it by
+    /// [`OPENGL_FROM_OPENCV`](crate::scene::frame::OPENGL_FROM_OPENCV), and [`write_scene`] turns them again. False of
+    /// files that Centaur wrote, which come back as they were, and of formats that state no frame, which are taken to
+    /// be in that of captures.
     pub y_up: bool,
     /// What else is known of every splat.
     pub attributes: Vec<Attribute>,
@@ -59,6 +62,21 @@ impl SceneFile {
             record: None,
         }
     }
+
+    /// What a reader has taken from a file as that has it, in the frame of the capture.
+    pub(super) fn in_capture_frame(self) -> Result<Self, Fault> {
+        if !self.y_up {
+            return Ok(self);
+        }
+        let scene = placed::half_turned(self.scene).map_err(|e| Fault::from(e).under("/"))?;
+        let turned = |(name, camera): (String, Camera)| (name, cameras::turned(&camera));
+        let cameras: Vec<_> = self.cameras.into_iter().map(turned).collect();
+        let source = self.source.map(|mut source| {
+            source.follow(HALF_TURN, &scene, &cameras);
+            source
+        });
+        Ok(Self { scene, cameras, source, ..self })
+    }
 }
 
 /// How to read.
@@ -86,7 +104,8 @@ pub struct WriteOptions<'a> {
     pub attributes: &'a [Attribute],
     /// The document that the scene was read from: written again where it still holds, see [`gltf::Source::stands`].
     pub source: Option<&'a gltf::Source>,
-    /// How the scene was made, see [`SceneFile::record`]; glTF and USD hold it. A document that is written again has its own.
+    /// How the scene was made, see [`SceneFile::record`]; glTF and USD hold it. In a `source` that stands its own record stays, and another is
+    /// named as lost; where the scene is written anew, this one takes its place.
     pub record: Option<&'a serde_json::Value>,
     /// Layout of SPZ.
     pub spz: spz::Options,
@@ -102,7 +121,7 @@ pub const SPLATS_ALONE: &[&str] = &["ply", "sog", "spz", "splat", "ksplat"];
 /// What names of files end with that [`write_scene`] writes for rendering programs, and that are not read: Mitsuba's and Blender's.
 pub const EXPORTABLE: &[&str] = &["xml", "blend.py"];
 
-/// As [`super::read_scene`], with what the file says besides.
+/// As [`super::read_scene`], with what the file says besides; cameras are in the frame of the scene.
 ///
 /// # Errors
 /// As [`super::read_scene`], and if a time or animations are given for a file that is no glTF.
@@ -131,6 +150,9 @@ pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, Fo
 
 /// Writes a scene in the format of the file's extension, one of [`WRITABLE`] and [`EXPORTABLE`] in any case.
 ///
+/// The scene and its cameras are taken to be in the frame of captures, y down, as [`super::read_scene`] gives it and training makes it. glTF and
+/// USD are y up: they get it turned half about x, so that viewers show it upright. Splats alone are written as they are.
+///
 /// # Errors
 /// If the extension is none of these, the file cannot be written, the composition is not valid, or the format's limits are exceeded.
 pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
@@ -146,9 +168,10 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
         "glb" | "gltf" => {
             let (bytes, loss) = match options.source {
                 Some(source) => {
-                    let (bytes, stands) = gltf::write_over(path, scene, options.cameras, source)?;
+                    let (bytes, stands) = gltf::write_over(path, scene, options.cameras, (source, options.record))?;
                     let loss = if stands {
-                        Loss { document: source.unfound(), ..Loss::default() }
+                        let record = options.record.is_some() && options.record != source.extras();
+                        Loss { document: source.unfound(), record, ..Loss::default() }
                     } else {
                         dropping(source, of_linear_values(splats))
                     };
@@ -305,6 +328,29 @@ mod tests {
             assert!(back.is_none_or(|back| back == record), "{extension}");
             assert_eq!(has_extension(&path, SPLATS_ALONE), loss.record, "{extension}");
         }
+    }
+
+    #[test]
+    fn a_record_is_of_the_scene_that_it_is_written_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let [old, new] = [1, 2].map(|iterations| serde_json::json!({ "iterations": iterations }));
+        let options = WriteOptions { record: Some(&old), ..WriteOptions::default() };
+        write_scene(&at("a.glb"), &random_scene(3, 1, 1, 4), &options).unwrap();
+        let file = read_file(&at("a.glb"), &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
+        let written = |scene: &HybridScene, record: &serde_json::Value| {
+            let source = file.source.as_ref();
+            let options = WriteOptions { source, record: Some(record), ..WriteOptions::default() };
+            let loss = write_scene(&at("b.glb"), scene, &options).unwrap().loss;
+            let back = read_file(&at("b.glb"), &ReadOptions::default()).unwrap();
+            (back.record, loss.record)
+        };
+        // A document that stands has its own.
+        assert_eq!(written(&file.scene, &old), (Some(old.clone()), false));
+        assert_eq!(written(&file.scene, &new), (Some(old.clone()), true));
+        let mut changed = file.scene.clone();
+        changed.meshes.clear();
+        assert_eq!(written(&changed, &new), (Some(new.clone()), false));
     }
 
     #[test]

@@ -14,13 +14,10 @@ pub(super) const ANY: SurfaceOptions =
     SurfaceOptions { min_component_faces: 50, planar: true, target_triangles: 100_000 };
 
 fn look_at(eye: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
-    let z = (target - eye).normalize();
-    let x = z.any_orthonormal_vector();
-    let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
     let f = 1.2 * f64::from(width);
     let intrinsics =
         Intrinsics { width, height, fx: f, fy: f, cx: f64::from(width) * 0.49, cy: f64::from(height) * 0.52 };
-    Camera::new(intrinsics, rotation, -(rotation * eye)).unwrap()
+    Camera::look_at(intrinsics, eye, target, DVec3::ZERO).unwrap()
 }
 
 /// Cameras on a Fibonacci sphere of radius 3, looking at the origin.

@@ -176,8 +176,6 @@ fn common_focus(cameras: &[Camera]) -> Option<(DVec3, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
-
     use super::*;
     use crate::scene::Intrinsics;
 
@@ -190,11 +188,8 @@ mod tests {
     }
 
     fn look(from: DVec3, to: DVec3) -> Camera {
-        let z = (to - from).normalize();
-        let x = z.any_orthonormal_vector();
-        let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
         let intrinsics = Intrinsics { width: 100, height: 100, fx: 90.0, fy: 90.0, cx: 50.0, cy: 50.0 };
-        Camera::new(intrinsics, rotation, -(rotation * from)).unwrap()
+        Camera::look_at(intrinsics, from, to, DVec3::ZERO).unwrap()
     }
 
     #[test]

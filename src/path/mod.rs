@@ -8,9 +8,9 @@ mod spline;
 #[cfg(test)]
 mod tests;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
-use crate::scene::{Camera, Intrinsics, SceneError};
+use crate::scene::{Camera, Intrinsics, SceneError, view_axes};
 use crate::stats::median_by;
 use rig::Rig;
 pub use spline::{Spline, spline};
@@ -101,7 +101,7 @@ pub fn orbit(views: &[Camera], around: &Around, shot: &Shot) -> Result<Vec<Camer
     let frame = |i: usize| {
         let (sin, cos) = (std::f64::consts::TAU * i as f64 / shot.frames as f64).sin_cos();
         let center = focus + axis * height + (start * cos + side * sin) * radius;
-        look_at(k, center, focus - center, rig.up)
+        Ok(Camera::look_at(k, center, focus, rig.up)?)
     };
     (0..shot.frames).map(frame).collect()
 }
@@ -138,37 +138,22 @@ pub fn lemniscate(views: &[Camera], around: &Around, shot: &Shot) -> Result<Vec<
     if a.is_nan() || a <= 0.0 {
         return Err(PathError::NoRadius);
     }
-    let to_world = axes(-toward, rig.up);
+    let to_world = view_axes(-toward, rig.up);
     let frame = |i: usize| {
         let t = std::f64::consts::TAU * i as f64 / shot.frames as f64;
         let center =
             focus + toward * distance + to_world.x_axis * (a * t.sin()) - to_world.y_axis * (b * (2.0 * t).sin());
-        look_at(k, center, focus - center, rig.up)
+        Ok(Camera::look_at(k, center, focus, rig.up)?)
     };
     (0..shot.frames).map(frame).collect()
 }
 
-/// A camera at `center` that looks along `forward`, with `up` upwards in its image.
-fn look_at(k: Intrinsics, center: DVec3, forward: DVec3, up: DVec3) -> Result<Camera, PathError> {
-    let to_camera = axes(forward.normalize(), up).transpose();
-    Ok(Camera::new(k, to_camera, -(to_camera * center))?)
-}
-
-/// Camera→world: right, down and forward.
-fn axes(forward: DVec3, up: DVec3) -> DMat3 {
-    let right = forward.cross(up);
-    // Straight up or down there is no level; any will do.
-    let right = if right.length() > 1e-9 { right.normalize() } else { forward.any_orthonormal_vector() };
-    DMat3::from_cols(right, forward.cross(right), forward)
-}
-
 /// Intrinsics of all frames: the principal point is in the middle, pixels have the aspect of the view's.
 fn intrinsics(views: &[Camera], shot: &Shot) -> Result<Intrinsics, PathError> {
-    let fov = |c: &Camera| 2.0 * (f64::from(c.intrinsics().height) / (2.0 * c.intrinsics().fy)).atan();
+    let fov = |c: &Camera| c.intrinsics().fov_y();
     let view = median_by(views.to_vec(), fov).ok_or(PathError::TooFew { expected: 1, found: 0 })?;
     let own = view.intrinsics();
     let [width, height] = shot.size.unwrap_or([own.width, own.height]);
-    let fy = 0.5 * f64::from(height) / (0.5 * shot.fov_y.unwrap_or_else(|| fov(&view))).tan();
-    let [cx, cy] = [width, height].map(|side| 0.5 * f64::from(side));
-    Ok(Intrinsics { width, height, fx: fy * own.fx / own.fy, fy, cx, cy })
+    let square = Intrinsics::from_fov_y(width, height, shot.fov_y.unwrap_or_else(|| fov(&view)));
+    Ok(Intrinsics { fx: square.fy * own.fx / own.fy, ..square })
 }

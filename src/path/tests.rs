@@ -9,7 +9,7 @@ use crate::render::testing::largest;
 const K: Intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 50.0, cx: 30.0, cy: 25.0 };
 
 fn view(center: DVec3, target: DVec3, up: DVec3) -> Camera {
-    look_at(K, center, target - center, up).unwrap()
+    Camera::look_at(K, center, target, up).unwrap()
 }
 
 fn frames(frames: usize) -> Shot {

@@ -61,6 +61,27 @@ impl Intrinsics {
         self.width.max(self.height)
     }
 
+    /// Of this vertical angle of view, in radians: square pixels, the principal point in the middle. Whether there can be such a lens is for
+    /// [`Camera::new`] and [`Camera::look_at`] to say.
+    #[must_use]
+    pub fn from_fov_y(width: u32, height: u32, fov_y: f64) -> Self {
+        let [w, h] = [width, height].map(f64::from);
+        let focal = 0.5 * h / (0.5 * fov_y).tan();
+        Self { width, height, fx: focal, fy: focal, cx: 0.5 * w, cy: 0.5 * h }
+    }
+
+    /// Horizontal angle of view in radians, as it is where the principal point is in the middle.
+    #[must_use]
+    pub fn fov_x(&self) -> f64 {
+        2.0 * (0.5 * f64::from(self.width) / self.fx).atan()
+    }
+
+    /// Vertical angle of view in radians, as it is where the principal point is in the middle.
+    #[must_use]
+    pub fn fov_y(&self) -> f64 {
+        2.0 * (0.5 * f64::from(self.height) / self.fy).atan()
+    }
+
     /// The same camera at another image size. Uses the *actual* new size, so rounding is accounted for.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
@@ -116,6 +137,34 @@ impl Camera {
             return Err(SceneError::new("pose", "a rotation", "a rotation and a reflection"));
         }
         Ok(Self { intrinsics, rotation: nearest_rotation(rotation), translation })
+    }
+
+    /// A camera at `center` that looks at `target`, with `up` upwards in its picture; all are in world space. Up is −y (`DVec3::NEG_Y`) in
+    /// the frame of captures, in which [`read_scene`](crate::format::read_scene) has scenes.
+    ///
+    /// `up` may have any length, and need not be across the view. Where it is along the view, or zero, any roll of the picture is taken.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and if `target` is where `center` is, or `up` is not finite.
+    ///
+    /// ```
+    /// use centaur::{glam::{DVec2, DVec3}, scene::{Camera, Intrinsics}};
+    ///
+    /// let lens = Intrinsics::from_fov_y(1280, 720, 50_f64.to_radians());
+    /// // Four units before the origin and one above it.
+    /// let camera = Camera::look_at(lens, DVec3::new(0.0, -1.0, -4.0), DVec3::ZERO, DVec3::NEG_Y)?;
+    /// let pixel = camera.project(camera.to_camera(DVec3::ZERO));
+    /// assert!(pixel.abs_diff_eq(DVec2::new(640.0, 360.0), 1e-9));
+    /// # Ok::<(), centaur::scene::SceneError>(())
+    /// ```
+    pub fn look_at(intrinsics: Intrinsics, center: DVec3, target: DVec3, up: DVec3) -> Result<Self, SceneError> {
+        let forward = target - center;
+        if !(forward.length() > 0.0 && up.is_finite()) {
+            let expected = "a target away from the camera, and an up that is finite";
+            return Err(SceneError::new("view", expected, format!("{forward} from it, and {up}")));
+        }
+        let to_camera = view_axes(forward.normalize(), up).transpose();
+        Self::new(intrinsics, to_camera, -(to_camera * center))
     }
 
     /// Intrinsics.
@@ -187,6 +236,15 @@ impl Camera {
     }
 }
 
+/// Camera→world of a camera that looks along `forward`, of length 1, with `up` upwards in its picture: right, down and forward.
+pub(crate) fn view_axes(forward: DVec3, up: DVec3) -> DMat3 {
+    let right = forward.cross(up);
+    // Straight up or down there is no level; any will do.
+    let is_level = right.length() > 1e-9 * up.length();
+    let right = if is_level { right.normalize() } else { forward.any_orthonormal_vector() };
+    DMat3::from_cols(right, forward.cross(right), forward)
+}
+
 /// The rotation that a matrix is but for rounding and scale: axes of about one length at about right angles, as [`Camera::new`] takes them.
 pub(crate) fn nearest_rotation(matrix: DMat3) -> DMat3 {
     let axes = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::normalize_or_zero);
@@ -210,6 +268,45 @@ mod tests {
         assert_eq!(camera.in_picture(DVec3::new(-1.0, -0.75, 1.0)), Some(DVec2::ZERO));
         for outside in [[1.0, 0.0, 1.0], [0.0, 0.75, 1.0], [0.0, 0.0, -1.0], [0.0; 3], [f64::NAN, 0.0, 1.0]] {
             assert_eq!(camera.in_picture(DVec3::from(outside)), None, "{outside:?}");
+        }
+    }
+
+    #[test]
+    fn a_camera_looks_at_its_target_with_up_upwards() {
+        let lens = Intrinsics::from_fov_y(200, 100, 0.5 * std::f64::consts::PI);
+        let (center, target) = (DVec3::new(3.0, -1.0, 2.0), DVec3::new(-1.0, 2.0, 5.0));
+        for up in [DVec3::NEG_Y, 7.0 * DVec3::Z, DVec3::new(0.1, -0.2, 0.3)] {
+            let camera = Camera::look_at(lens, center, target, up).unwrap();
+            assert!(camera.center().abs_diff_eq(center, 1e-12), "{up}");
+            let seen = camera.to_camera(target);
+            assert!(camera.project(seen).abs_diff_eq(DVec2::new(100.0, 50.0), 1e-9) && seen.z > 0.0, "{up}: {seen}");
+            // Neither to the left nor to the right of it, and higher: y is down.
+            let above = camera.rotation() * up;
+            assert!(above.x.abs() < 1e-12 && above.y < 0.0, "{up}: {above}");
+        }
+        // Straight down no side is level.
+        for up in [DVec3::ZERO, target - center, center - target] {
+            let camera = Camera::look_at(lens, center, target, up).unwrap();
+            assert!(camera.to_camera(target).truncate().length() < 1e-12, "{up}");
+        }
+        for (target, up) in [(center, DVec3::Y), (target, DVec3::NAN), (DVec3::INFINITY, DVec3::Y)] {
+            assert!(Camera::look_at(lens, center, target, up).is_err(), "{target} {up}");
+        }
+        let error = Camera::look_at(lens, center, center, DVec3::Y).unwrap_err().to_string();
+        assert!(error.starts_with("view: expected a target away from the camera"), "{error}");
+    }
+
+    #[test]
+    fn angles_of_view_are_those_of_the_sides() {
+        let right_angle = 0.5 * std::f64::consts::PI;
+        let lens = Intrinsics::from_fov_y(300, 100, right_angle);
+        assert!((lens.fx - 50.0).abs() < 1e-12 && lens.fx == lens.fy && (lens.cx, lens.cy) == (150.0, 50.0));
+        assert!((lens.fov_y() - right_angle).abs() < 1e-12);
+        // The edge is three focal lengths aside.
+        assert!(((0.5 * lens.fov_x()).tan() - 3.0).abs() < 1e-12);
+        for impossible in [0.0, -1.0, std::f64::consts::PI, f64::NAN] {
+            let lens = Intrinsics::from_fov_y(300, 100, impossible);
+            assert!(Camera::new(lens, DMat3::IDENTITY, DVec3::ZERO).is_err(), "{impossible}");
         }
     }
 

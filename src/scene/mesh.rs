@@ -214,6 +214,14 @@ impl Mesh {
         &self.atlas
     }
 
+    /// The same triangles and maps with each vertex where `place` puts it.
+    pub(crate) fn moved(self, place: impl Fn(Vec3) -> Vec3) -> Result<Self, SceneError> {
+        let mut positions = self.positions;
+        positions.iter_mut().for_each(|p| *p = place(*p));
+        check_finite("positions", bytemuck::cast_slice(&positions), 3)?;
+        Ok(Self { positions, ..self })
+    }
+
     /// The same geometry with other maps.
     #[must_use]
     pub fn with_atlas(self, atlas: Atlas) -> Self {

@@ -21,8 +21,8 @@ mod splats;
 
 use rayon::prelude::*;
 
-pub(crate) use camera::nearest_rotation;
 pub use camera::{Camera, Intrinsics};
+pub(crate) use camera::{nearest_rotation, view_axes};
 pub use centers::center_and_spread;
 pub use composition::{ColorSpace, Composition, OrderMode, PixelFilter};
 pub use gather::gather;
@@ -51,6 +51,10 @@ pub fn logit(opacity: f64) -> f64 {
 }
 
 /// Splats, meshes and the rule by which they are blended.
+///
+/// By agreement it is in the frame of captures, of COLMAP and INRIA's `.ply`: x to the right, y down, z forward. A scene keeps the world of its
+/// capture, and nothing here depends on where up is in that, but [`read_scene`](crate::format::read_scene) turns files that are y up to y down, and
+/// [`write_scene`](crate::format::write_scene) turns what it writes as y up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridScene {
     /// The 3D Gaussians; may be empty.

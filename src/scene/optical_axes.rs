@@ -52,11 +52,8 @@ mod tests {
     use crate::scene::Intrinsics;
 
     fn looking(center: DVec3, at: DVec3) -> Camera {
-        let z = (at - center).normalize();
-        let x = z.any_orthonormal_vector();
-        let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
         let intrinsics = Intrinsics { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 };
-        Camera::new(intrinsics, rotation, -(rotation * center)).unwrap()
+        Camera::look_at(intrinsics, center, at, DVec3::ZERO).unwrap()
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::common::{self, data};
-use centaur::format::{ReadOptions, SceneFile, WriteOptions, gltf, inspect, read_file, validate, write_scene};
+use centaur::format::{ReadOptions, WriteOptions, gltf, inspect, read_file, validate, write_scene};
 use centaur::scene::{Composition, HybridScene, Splats};
 use glam::{Quat, Vec3};
 use serde_json::{Value, json};
@@ -20,14 +20,6 @@ fn json_of(path: &Path) -> Value {
     serde_json::from_slice(&bytes[20..20 + length]).unwrap()
 }
 
-/// The document, told that its scene is in the frame of captures, in which scenes are written: `convert` turns them.
-fn turned(file: &SceneFile) -> gltf::Source {
-    let mut source = file.source.clone().unwrap();
-    let half_turn = glam::DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
-    source.follow(half_turn, &file.scene, &file.cameras);
-    source
-}
-
 #[test]
 fn tori_compressed_by_gltfpack_and_gltf_transform() {
     // Made from torus.py's file by gltfpack 1.3 (`-cc -kn -ce ext`; `-cc -kn -ce khr -vpf -vtf -vnf`) and by glTF-Transform
@@ -41,13 +33,14 @@ fn tori_compressed_by_gltfpack_and_gltf_transform() {
         let [mesh] = &file.scene.meshes[..] else { panic!("{name}: {} meshes", file.scene.meshes.len()) };
         assert_eq!(mesh.triangles().len(), 576, "{name}");
         for p in mesh.positions() {
-            let ring = (p.x.hypot(p.y - 2.0) - 1.0).hypot(p.z);
+            // Scenes are y down.
+            let ring = (p.x.hypot(-p.y - 2.0) - 1.0).hypot(p.z);
             assert!((ring - 0.25).abs() < 4e-4, "{name}: {p} lies {ring} from the ring");
         }
         for (triangle, uvs) in mesh.triangles().iter().zip(mesh.corner_uvs()) {
             for (&v, uv) in triangle.iter().zip(uvs) {
                 let p = mesh.positions()[v as usize];
-                let around = (p.y - 2.0).atan2(p.x).rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
+                let around = (-p.y - 2.0).atan2(p.x).rem_euclid(std::f32::consts::TAU) / std::f32::consts::TAU;
                 let difference = (uv.x - around).rem_euclid(1.0);
                 assert!(difference.min(1.0 - difference) < 1e-3, "{name}: u {} at {p}", uv.x);
             }
@@ -56,8 +49,7 @@ fn tori_compressed_by_gltfpack_and_gltf_transform() {
         // Compressed views stay compressed.
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out.glb");
-        let source = turned(&file);
-        let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
+        let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
         assert!(write_scene(&out, &file.scene, &options).unwrap().loss.is_none());
         assert!(read_file(&out, &KEEP).unwrap().scene == file.scene, "{name}");
         assert!(out.metadata().unwrap().len() <= path.metadata().unwrap().len() + 64);
@@ -80,9 +72,8 @@ fn khronos_samples_survive_a_round_trip() {
                 let file = read_file(&path, &KEEP).unwrap();
                 for name in ["out.glb", "out.gltf"] {
                     let out = folder.path().join(name);
-                    let source = turned(&file);
-                    let options =
-                        WriteOptions { cameras: &file.cameras, source: Some(&source), ..WriteOptions::default() };
+                    let source = file.source.as_ref();
+                    let options = WriteOptions { cameras: &file.cameras, source, ..WriteOptions::default() };
                     let report = write_scene(&out, &file.scene, &options).unwrap();
                     assert!(report.loss.is_none(), "{}: {}", path.display(), report.loss);
                     let (before, after) = (json_of(&path), json_of(&out));
@@ -131,9 +122,9 @@ fn splats_of_cesiums_draft() {
     let file = gltf::read(&data("oracle_cesium_gltf_splat/synthetic_5splats.gltf")).unwrap();
     assert_eq!((file.scene.splats.len(), file.scene.splats.sh_degree()), (5, 0));
     assert!(file.notes.iter().any(|n| n.contains("of a draft of the extension")), "{:?}", file.notes);
-    // Means at −2 to 2 along the diagonal, by the node's matrix.
+    // Means at −2 to 2 along the diagonal, by the node's matrix; y down.
     let first = file.scene.splats.means()[0];
-    assert!((first - Vec3::new(0.0, 10.0, -5.0)).length() < 1e-5, "{first}");
+    assert!((first - Vec3::new(0.0, -10.0, 5.0)).length() < 1e-5, "{first}");
 }
 
 fn one_splat() -> HybridScene {

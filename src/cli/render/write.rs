@@ -20,8 +20,6 @@ pub(super) struct File<'a> {
     pub(super) path: &'a Path,
     pub(super) camera: &'a Camera,
     pub(super) composition: &'a Composition,
-    /// Whether the scene's world is y up, which normals are not written in.
-    pub(super) y_up: bool,
     pub(super) args: &'a Args,
 }
 
@@ -84,9 +82,8 @@ impl File<'_> {
             channels.push(plain(&format!("splats.{suffix}"), picture.splats.iter().map(|p| p[c]).collect()));
             channels.push(plain(&format!("mesh.{suffix}"), picture.mesh.iter().map(|p| p[c]).collect()));
         }
-        let turn = if self.y_up { -1.0 } else { 1.0 };
-        for (c, (suffix, sign)) in [("X", 1.0), ("Y", turn), ("Z", turn)].into_iter().enumerate() {
-            channels.push(plain(&format!("N.{suffix}"), picture.normal.iter().map(|n| sign * n[c]).collect()));
+        for (c, suffix) in ["X", "Y", "Z"].into_iter().enumerate() {
+            channels.push(plain(&format!("N.{suffix}"), picture.normal.iter().map(|n| n[c]).collect()));
         }
         channels.push(depth("Z", picture.expected_depth));
         channels.push(depth("depth.first", picture.median_depth));

@@ -101,7 +101,7 @@ impl CameraFile {
 }
 
 /// In the world after half a turn about x.
-fn turned(camera: &Camera) -> Camera {
+pub(super) fn turned(camera: &Camera) -> Camera {
     let rotation = frame::in_turned_world(camera.rotation());
     Camera::new(*camera.intrinsics(), rotation, camera.translation()).expect("a rotation, turned, is one")
 }

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{Vec2, Vec3};
+use glam::{DMat3, DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::extension::HYBRID;
 use super::*;
 use crate::base64;
-use crate::format::{WriteOptions, read_file, write_scene};
+use crate::format::{WriteOptions, read_file, read_scene, write_scene};
 
 /// A document whose accessors are made of the given arrays, one buffer view each.
 #[derive(Default)]
@@ -90,6 +90,48 @@ pub(super) fn triangle() -> (Builder, Value) {
 pub(super) fn near(found: &[f32], expected: &[f32], tolerance: f32) {
     assert_eq!(found.len(), expected.len());
     assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance), "{found:?}, expected {expected:?}");
+}
+
+/// Theirs is y up, scenes are y down, and what is written of these stands upright again.
+#[test]
+fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut b = Builder::default();
+    let position = b.floats(&[[0.0f32, 1.0, 2.0], [1.0, 1.0, 2.0], [0.0, 3.0, 2.0]]);
+    let document = json!({
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": position } }] }],
+        "nodes": [{ "mesh": 0, "children": [1] }, { "name": "eye", "camera": 0, "translation": [0.5, 2, 7] }],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 1.0, "aspectRatio": 1.5, "znear": 0.1 } }],
+    });
+    std::fs::write(at("theirs.gltf"), b.file(&document)).unwrap();
+    #[track_caller]
+    fn check(path: &Path, y_up: bool) {
+        let file = read_file(path, &ReadOptions::default()).unwrap();
+        assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
+        let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
+        assert_eq!(file.scene.meshes[0].positions(), expected);
+        // It looked along −z with y up; now that is z, with y down.
+        let camera = file.cameras[0].1;
+        assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
+        assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
+    }
+    check(&at("theirs.gltf"), true);
+    let theirs = read_file(&at("theirs.gltf"), &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
+    for (name, source) in [("a.gltf", None), ("a.glb", None), ("a.usda", None), ("same.glb", theirs.source.as_ref())] {
+        let options = WriteOptions { cameras: &theirs.cameras, source, ..WriteOptions::default() };
+        write_scene(&at(name), &theirs.scene, &options).unwrap();
+        check(&at(name), source.is_some());
+    }
+    // Programs that do not know our root see it where theirs was.
+    let mut ours: Value = serde_json::from_slice(&std::fs::read(at("a.gltf")).unwrap()).unwrap();
+    let root = ours["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
+    ours["nodes"][root]["name"] = json!("world");
+    std::fs::write(at("seen.gltf"), ours.to_string()).unwrap();
+    check(&at("seen.gltf"), true);
+
+    write_scene(&at("b.glb"), &read_scene(&at("theirs.gltf")).unwrap(), &WriteOptions::default()).unwrap();
+    assert_eq!(read_scene(&at("b.glb")).unwrap().meshes, theirs.scene.meshes);
 }
 
 #[test]
@@ -342,7 +384,7 @@ fn a_document_without_scenes_shows_all_its_nodes() {
     let options = ReadOptions { keep_document: true, ..ReadOptions::default() };
     let read = read_file(&at("a.gltf"), &options).unwrap();
     let mut source = read.source.unwrap();
-    source.follow(DMat4::from_translation(glam::DVec3::X), &read.scene, &[]);
+    source.follow(DMat4::from_translation(DVec3::X), &read.scene, &[]);
     let options = WriteOptions { source: Some(&source), ..WriteOptions::default() };
     write_scene(&at("b.gltf"), &read.scene, &options).unwrap();
     let written: Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();

@@ -82,7 +82,8 @@ pub fn is_named(path: &Path) -> bool {
 }
 
 /// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
-/// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings).
+/// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings). The scene is in the frame of captures, y down; below a root
+/// node of ours it is turned half about x.
 ///
 /// Scales and opacities are stored linear in f32, as `KHR_gaussian_splatting` demands: log-scales come back to 1e-6,
 /// opacities to 1e-7 (logits stay finite). Everything else that is optimised comes back bit for bit.
@@ -101,7 +102,7 @@ pub fn write_glb(
 }
 
 /// As [`write_glb`], on the ground of the document that the scene was read from: all of it is written where it stands
-/// ([`Source::stands`]), else what of it concerns the file as a whole. Also returns which of both.
+/// ([`Source::stands`]), else what of it concerns the file as a whole, with this record in place of its own. Also returns which of both.
 ///
 /// # Errors
 /// As [`write_glb`].
@@ -109,18 +110,19 @@ pub(super) fn write_over(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
-    source: &Source,
+    (source, record): (&Source, Option<&serde_json::Value>),
 ) -> Result<(u64, bool), FormatError> {
     if source.stands(scene, cameras) {
         let (document, bin) = source.document(scene, cameras);
         return Ok((container::write(path, document, &bin)?, true));
     }
     let (mut document, bin) = write::layout(scene, cameras, None);
-    source.carry_over(&mut document);
+    source.carry_over(&mut document, record);
     Ok((container::write(path, document, &bin)?, false))
 }
 
-/// Reads a `.glb` or `.gltf` file: hybrids, plain `KHR_gaussian_splatting` files, plain textured meshes.
+/// Reads a `.glb` or `.gltf` file: hybrids, plain `KHR_gaussian_splatting` files, plain textured meshes. The scene is in the frame of captures, y
+/// down, see [`SceneFile::y_up`].
 ///
 /// | of glTF | becomes |
 /// |---|---|
@@ -150,6 +152,11 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
 /// # Errors
 /// As [`read`].
 pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
+    read_as_stored(path, options)?.in_capture_frame().map_err(|fault| fault.in_file(path))
+}
+
+/// The same in the frame of the document, which is glTF's unless it is ours.
+fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     let asset = Asset::open(path)?;
     let located = |fault: Fault| fault.in_file(path);
     let (mut file, mut moving) = read::scene_and_motion(&asset, options.animations).map_err(located)?;
@@ -198,7 +205,7 @@ pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, Fo
 
 /// Writes the document of a glTF again, with cameras added as one that moves, in the place of those that were added before.
 pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
-    let file = read_with(scene, &ReadOptions { keep_document: true, ..ReadOptions::default() })?;
+    let file = read_as_stored(scene, &ReadOptions { keep_document: true, ..ReadOptions::default() })?;
     let Some(source) = &file.source else {
         return Err(Fault::whole("a glTF document", "another file").in_file(scene));
     };

@@ -25,14 +25,15 @@ impl File {
         Self { _folder: folder, path }
     }
 
+    /// As it rests, in the frame of the document.
     fn rest(&self) -> SceneFile {
-        read(&self.path).unwrap()
+        read_as_stored(&self.path, &ReadOptions::default()).unwrap()
     }
 
     /// Read at a time, which must be what the source of the scene at rest says as well.
     #[track_caller]
     fn at(&self, time: f64) -> SceneFile {
-        let posed = read_file(&self.path, &ReadOptions { time: Some(time), ..ReadOptions::default() }).unwrap();
+        let posed = read_as_stored(&self.path, &ReadOptions { time: Some(time), ..ReadOptions::default() }).unwrap();
         let rest = self.rest();
         assert_eq!(rest.source.unwrap().at(&rest.scene, time).unwrap(), posed.scene);
         posed
@@ -534,7 +535,7 @@ fn a_pose_is_no_document() {
     assert!(!back.source.unwrap().moves());
     assert_eq!(back.scene.splats.means().len(), 2);
     // As it rests it goes on as it was, animation and all.
-    let mut rest = read_file(&file.path, &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
+    let mut rest = read_as_stored(&file.path, &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
     // Half a turn about x to the frame that scenes are written in, and larger on the way.
     let turn = Similarity::new(2.0, DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::ZERO).unwrap();
     let mut source = rest.source.take().unwrap();
@@ -544,7 +545,7 @@ fn a_pose_is_no_document() {
     let report = write_scene(&out, &moved, &options).unwrap();
     assert!(report.loss.is_none(), "{}", report.loss);
     let time = ReadOptions { time: Some(0.5), ..ReadOptions::default() };
-    let back = read_file(&out, &time).unwrap().scene;
+    let back = read_as_stored(&out, &time).unwrap().scene;
     let larger = Similarity::new(2.0, DMat3::IDENTITY, DVec3::ZERO).unwrap().scene(posed.scene).unwrap();
     near(bytemuck::cast_slice(back.splats.means()), bytemuck::cast_slice(larger.splats.means()), 1e-6);
     near(back.splats.sh().as_flattened(), larger.splats.sh().as_flattened(), 1e-6);

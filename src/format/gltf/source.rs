@@ -44,9 +44,9 @@ pub struct Source {
     root: Value,
     content: Option<Content>,
     remainder: Vec<Remnant>,
-    /// From coordinates of the scene as read to those it has now.
+    /// From coordinates of the document's frame to those that the scene has now.
     moved: DMat4,
-    /// Whether the scene as read is in the frame of the capture.
+    /// Whether the document's frame is that of the capture; else it is glTF's, from which reading turns the scene.
     is_ours: bool,
     composition: Composition,
     splats_and_meshes: u64,
@@ -138,7 +138,8 @@ impl Source {
         self.moving.fps()
     }
 
-    /// The cameras, as [`crate::format::read_cameras`] reads them from `path`, of which this is the document.
+    /// The cameras, as [`crate::format::read_cameras`] reads them from `path`, of which this is the document: in its frame, which
+    /// [`CameraFile::y_up`] tells and [`CameraFile::in_frame`] changes.
     ///
     /// # Errors
     /// As there.
@@ -276,7 +277,7 @@ impl Source {
 
     /// Puts a node above the scene where it has been moved.
     fn place(&self, root: &mut Value) {
-        // Files are y-up. What is ours was turned on reading, what is not will be turned by writing.
+        // Files are y up, and scenes are y down: `moved` has turned what is not ours, a root below has what is.
         let above = if self.is_ours { HALF_TURN * self.moved * HALF_TURN } else { HALF_TURN * self.moved };
         let Some(s) = similarity(above).filter(|_| !above.abs_diff_eq(DMat4::IDENTITY, 1e-12)) else { return };
         let current = self.scene();
@@ -323,8 +324,8 @@ impl Source {
     }
 
     /// What concerns the file as a whole goes on even where the scene is written anew: copyright and extras of the asset,
-    /// extras of the document, name and extras of the scene.
-    pub(super) fn carry_over(&self, document: &mut Value) {
+    /// extras of the document, name and extras of the scene. A `record` takes the place of its own, which is of the scene as it was.
+    pub(super) fn carry_over(&self, document: &mut Value, record: Option<&Value>) {
         let of = |path: &str| self.root.pointer(path).cloned();
         let scene = format!("/scenes/{}", self.scene());
         for (from, object, key) in [
@@ -337,6 +338,9 @@ impl Source {
             if let (Some(value), Some(Value::Object(object))) = (of(&from), document.pointer_mut(object)) {
                 object.insert(key.to_owned(), value);
             }
+        }
+        if let Some(record) = record {
+            object_at(&mut document["asset"], "extras")[EXTRAS] = record.clone();
         }
     }
 }

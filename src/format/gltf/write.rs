@@ -308,7 +308,7 @@ pub(super) fn camera_and_node(name: &str, camera: &Camera, near: f32, index: usi
         "name": name,
         "type": "perspective",
         "perspective": {
-            "yfov": 2.0 * (height / (2.0 * k.fy)).atan(),
+            "yfov": k.fov_y(),
             "aspectRatio": (width * k.fy) / (height * k.fx),
             "znear": near,
         },

@@ -12,8 +12,8 @@ use super::error::file_bytes;
 use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::stored_bytes;
 use super::validate::unknown_properties;
-use super::{FormatError, Kind, ReadOptions, has_extension, kind, ply, read_file, usd};
-use crate::scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats, frame::OPENGL_FROM_OPENCV};
+use super::{FormatError, Kind, ReadOptions, SceneFile, has_extension, kind, ply, read_file, usd};
+use crate::scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -122,16 +122,16 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let asset = Asset::open(path)?;
             let document = gltf::describe(&asset).map_err(|fault| fault.in_file(path))?;
             // What cannot be rendered can still be looked at.
-            let scene = scene_of(&asset);
+            let scene = scene_of(&asset).and_then(SceneFile::in_capture_frame);
             let is_scene = scene.is_ok();
-            let (scene, stated, y_up, cameras, mut warnings) = match scene {
-                Ok(file) => (file.scene, file.states_composition, file.y_up, file.cameras, file.notes),
+            let (scene, stated, cameras, mut warnings) = match scene {
+                Ok(file) => (file.scene, file.states_composition, file.cameras, file.notes),
                 Err(fault) => {
                     let (location, expected, found) = fault.into_parts();
                     let none =
                         HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
                     let warning = format!("cannot be read as a scene: {location}expected {expected}, found {found}");
-                    (none, false, false, vec![], vec![warning])
+                    (none, false, vec![], vec![warning])
                 }
             };
             warnings.extend(unknown_properties(&asset.root));
@@ -147,7 +147,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 warnings,
                 extensions_used: asset.extensions_used,
                 extensions_required: asset.extensions_required,
-                ..summary(path, total, &scene, y_up)
+                ..summary(path, total, &scene)
             })
         }
         Kind::Usd => {
@@ -162,7 +162,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 composition: composition(&file.scene, file.states_composition),
                 bytes_by_part: parts.into_iter().filter(|(_, bytes)| *bytes > 0).collect(),
                 warnings: file.notes,
-                ..summary(path, bytes, &file.scene, file.y_up)
+                ..summary(path, bytes, &file.scene)
             })
         }
         Kind::Ply => {
@@ -184,7 +184,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 tables,
                 bytes_by_part,
                 pixel_filter: is_of_splats.then_some(scene.composition.pixel_filter),
-                ..summary(path, bytes, &scene, false)
+                ..summary(path, bytes, &scene)
             })
         }
         kind => {
@@ -194,22 +194,21 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 format: kind.name(),
                 warnings: file.notes,
                 pixel_filter: Some(file.scene.composition.pixel_filter),
-                ..summary(path, bytes, &file.scene, file.y_up)
+                ..summary(path, bytes, &file.scene)
             })
         }
     }
 }
 
-/// `y_up`: whether the frame is glTF's, which is turned to that of captures.
-fn summary(path: &Path, bytes: u64, scene: &HybridScene, y_up: bool) -> Summary {
+fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
     Summary {
         file: path.display().to_string(),
         format: Kind::Gltf.name(),
         bytes,
         bytes_by_part: BTreeMap::from([("splats", bytes)]),
         total_floats: scene.total_floats(),
-        splats: (!scene.splats.is_empty()).then(|| splats(&scene.splats, y_up)),
-        meshes: scene.meshes.iter().map(|m| mesh(m, y_up)).collect(),
+        splats: (!scene.splats.is_empty()).then(|| splats(&scene.splats)),
+        meshes: scene.meshes.iter().map(mesh).collect(),
         cameras: 0,
         optics: None,
         composition: None,
@@ -222,24 +221,22 @@ fn summary(path: &Path, bytes: u64, scene: &HybridScene, y_up: bool) -> Summary 
     }
 }
 
-fn bounds(points: &[Vec3], y_up: bool) -> [[f32; 3]; 2] {
-    let frame = if y_up { OPENGL_FROM_OPENCV.as_vec3() } else { Vec3::ONE };
+fn bounds(points: &[Vec3]) -> [[f32; 3]; 2] {
     // Zero added: no corner is at −0.
-    let corner =
-        |pick: fn(Vec3, Vec3) -> Vec3| points.iter().map(|&p| frame * p + Vec3::ZERO).reduce(pick).unwrap_or_default();
+    let corner = |pick: fn(Vec3, Vec3) -> Vec3| points.iter().map(|&p| p + Vec3::ZERO).reduce(pick).unwrap_or_default();
     [corner(Vec3::min).to_array(), corner(Vec3::max).to_array()]
 }
 
-fn splats(splats: &Splats, y_up: bool) -> SplatSummary {
-    SplatSummary { count: splats.len(), sh_degree: splats.sh_degree(), bounds: bounds(splats.means(), y_up) }
+fn splats(splats: &Splats) -> SplatSummary {
+    SplatSummary { count: splats.len(), sh_degree: splats.sh_degree(), bounds: bounds(splats.means()) }
 }
 
-fn mesh(mesh: &Mesh, y_up: bool) -> MeshSummary {
+fn mesh(mesh: &Mesh) -> MeshSummary {
     let atlas = mesh.atlas();
     MeshSummary {
         vertices: mesh.positions().len(),
         triangles: mesh.triangles().len(),
-        bounds: bounds(mesh.positions(), y_up),
+        bounds: bounds(mesh.positions()),
         base_texels: [atlas.base().width(), atlas.base().height()],
         band_texels: atlas.bands().map(|b| [b.width(), b.height()]),
         sh_degree: atlas.sh_degree(),
@@ -250,7 +247,7 @@ fn optics(cameras: &[(String, Camera)]) -> Option<CameraSummary> {
     let all = || cameras.iter().map(|(_, camera)| camera.intrinsics());
     let sizes = || all().map(|k| [k.width, k.height]);
     let pixels = |size: &[u32; 2]| u64::from(size[0]) * u64::from(size[1]);
-    let fov_y = || all().map(|k| (2.0 * (0.5 * f64::from(k.height) / k.fy).atan()).to_degrees());
+    let fov_y = || all().map(|k| k.fov_y().to_degrees());
     Some(CameraSummary {
         sizes: [sizes().min_by_key(pixels)?, sizes().max_by_key(pixels)?],
         fov_y: [fov_y().reduce(f64::min)?, fov_y().reduce(f64::max)?],

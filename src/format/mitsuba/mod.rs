@@ -170,7 +170,7 @@ fn stock(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> 
         let [width, height] = k.size().to_array();
         let sensor = Element::plugin("sensor", "perspective")
             .with("string", "fov_axis", "x")
-            .with("float", "fov", 2.0 * (0.5 * width / k.fx).atan().to_degrees())
+            .with("float", "fov", k.fov_x().to_degrees())
             // Mitsuba's is the offset of the film's centre from the principal point: a positive one moves the axis to the left and up.
             .with("float", "principal_point_offset_x", 0.5 - k.cx / width)
             .with("float", "principal_point_offset_y", 0.5 - k.cy / height)

@@ -58,7 +58,8 @@ use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange, h
 use crate::scene::{Camera, ColorSpace, HybridScene};
 
 /// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to
-/// y up and metres. One layer is read; what would have to be composed of several is named in the notes.
+/// metres and the frame of captures, y down, see [`SceneFile::y_up`]. One layer is read; what would have to be composed of several is named in the
+/// notes.
 ///
 /// # Errors
 /// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that flattens them,
@@ -66,6 +67,7 @@ use crate::scene::{Camera, ColorSpace, HybridScene};
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
     let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
+    let scene = scene.and_then(SceneFile::in_capture_frame);
     scene.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
@@ -124,7 +126,7 @@ fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
 
 /// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
 /// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the names of
-/// the pictures. `record` is kept, see [`SceneFile::record`].
+/// the pictures. `record` is kept, see [`SceneFile::record`]. The scene is in the frame of captures, y down, and turned half about x.
 ///
 /// Scales and opacities are stored linear in f32, as the schema demands: log-scales come back to 1e-6, opacities to 1e-7.
 /// Everything else that is optimised comes back bit for bit.

@@ -1,9 +1,10 @@
-use glam::{DVec3, Vec2, Vec3};
+use glam::{DMat3, DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
 use super::*;
 use crate::format::map_budget::MapBudget;
 use crate::format::test_scenes::{camera, random_scene};
+use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
 use crate::scene::{Splats, sh};
 
 fn assert_close(a: &Splats, b: &Splats) {
@@ -212,23 +213,68 @@ fn sensors_are_as_wide_as_film() {
     assert!((millimetres("focalLength") - 36.0 * k.fx / f64::from(k.width)).abs() < 1e-5);
 }
 
+/// Theirs is y up, scenes are y down, and what is written of these stands upright again.
+#[test]
+fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let layer = r#"#usda 1.0
+( metersPerUnit = 1 )
+def Mesh "M" {
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 1, 2), (1, 1, 2), (0, 3, 2)]
+    uniform token subdivisionScheme = "none"
+}
+def Camera "C" {
+    double3 xformOp:translate = (0.5, 2, 7)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"#;
+    std::fs::write(at("theirs.usda"), layer).unwrap();
+    #[track_caller]
+    fn check(path: &Path, y_up: bool) -> SceneFile {
+        let file = read_file(path, &ReadOptions::default()).unwrap();
+        assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
+        let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
+        assert_eq!(file.scene.meshes[0].positions(), expected);
+        // It looked along −z with y up; now that is z, with y down.
+        let camera = file.cameras[0].1;
+        assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
+        assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
+        file
+    }
+    let theirs = check(&at("theirs.usda"), true);
+    let options = WriteOptions { cameras: &theirs.cameras, ..WriteOptions::default() };
+    for name in ["a.usda", "a.usdz", "a.glb"] {
+        write_scene(&at(name), &theirs.scene, &options).unwrap();
+        check(&at(name), false);
+    }
+    // Programs that do not know our frame see it where theirs was.
+    let ours = std::fs::read_to_string(at("a.usda")).unwrap();
+    let seen = ours.replace("\"capture\"", "\"theirs\"");
+    assert_ne!(seen, ours);
+    std::fs::write(at("a.usda"), seen).unwrap();
+    check(&at("a.usda"), true);
+}
+
 #[test]
 fn units_axes_and_nested_transforms_are_applied() {
     let file = read_text(FOREIGN);
     assert!(file.y_up && file.scene.meshes.is_empty() && file.cameras.len() == 1);
     let splats = &file.scene.splats;
-    // Scaled (20, 40, 60), turned about z (−40, 20, 60), moved (60, 20, 60), in metres, y up.
-    assert!(splats.means()[0].abs_diff_eq(Vec3::new(0.6, 0.6, -0.2), 1e-6), "{}", splats.means()[0]);
+    // Scaled (20, 40, 60), turned about z (−40, 20, 60), moved (60, 20, 60), in metres, y down.
+    assert!(splats.means()[0].abs_diff_eq(Vec3::new(0.6, -0.6, 0.2), 1e-6), "{}", splats.means()[0]);
     let scales = splats.log_scales()[0].exp();
     assert!(scales.abs_diff_eq(Vec3::new(0.02, 0.04, 0.06), 1e-7), "{scales}");
-    // The local x axis points along y of the file, which is −z here; the local z axis along z, which is y.
+    // The local x axis points along y of the file, which is z here; the local z axis along z, which is −y.
     let axes = [Vec3::X, Vec3::Z].map(|axis| splats.rotations()[0] * axis);
-    assert!(axes[0].abs_diff_eq(-Vec3::Z, 1e-6) && axes[1].abs_diff_eq(Vec3::Y, 1e-6), "{axes:?}");
+    assert!(axes[0].abs_diff_eq(Vec3::Z, 1e-6) && axes[1].abs_diff_eq(-Vec3::Y, 1e-6), "{axes:?}");
     let red = |d: DVec3| -> f64 {
         let basis = sh::basis(d.to_array());
         splats.sh_of(0).iter().zip(basis).map(|(c, y)| f64::from(c[0]) * y).sum()
     };
-    assert!(red(-DVec3::Z) > 0.48 && red(DVec3::X).abs() < 1e-6 && red(DVec3::Y).abs() < 1e-6);
+    assert!(red(DVec3::Z) > 0.48 && red(DVec3::X).abs() < 1e-6 && red(DVec3::Y).abs() < 1e-6);
     // Too few opacities are none.
     assert!(splats.opacity_logits()[0] > 16.0);
 
@@ -241,7 +287,7 @@ fn units_axes_and_nested_transforms_are_applied() {
         "{k:?}"
     );
     // It stands two metres up and looks down; its right is x.
-    assert!(camera.center().abs_diff_eq(2.0 * DVec3::Y, 1e-9));
+    assert!(camera.center().abs_diff_eq(-2.0 * DVec3::Y, 1e-9));
     assert!(camera.to_camera(DVec3::ZERO).abs_diff_eq(2.0 * DVec3::Z, 1e-9));
     assert!((camera.rotation() * DVec3::X).abs_diff_eq(DVec3::X, 1e-9));
 

@@ -28,7 +28,7 @@ const SILENT: [&str; 10] =
 /// Metadata that compose a prim of others.
 const ARCS: [&str; 4] = ["references", "payload", "inherits", "specializes"];
 
-/// Reads a layer whose files are in `place`.
+/// Reads a layer whose files are in `place`: in the frame of the capture if it is ours, else y up.
 pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault> {
     let stage = Stage::new(layer);
     let mut notes = vec![];

@@ -1,5 +1,7 @@
 //! Pictures as they are read back.
 
+use image::{Rgb, RgbImage};
+
 use crate::scene::{ColorSpace, color::to_byte};
 
 /// A rendered picture in the scene's blending space, row-major from the top.
@@ -16,10 +18,15 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// 8-bit sRGB as in a PNG, `[height·width·3]`; `space` is the scene's, in which the picture is blended.
+    /// 8-bit sRGB over the background, to be saved as PNG or JPEG; `space` is that of the scene
+    /// ([`Composition::color_space`](crate::scene::Composition::color_space)), in which the picture is blended.
     #[must_use]
-    pub fn to_rgb8(&self, space: ColorSpace) -> Vec<u8> {
-        self.rgb.iter().flat_map(|rgb| space.to_srgb(*rgb).map(to_byte)).collect()
+    pub fn to_image(&self, space: ColorSpace) -> RgbImage {
+        let mut image = RgbImage::new(self.width, self.height);
+        for (pixel, rgb) in image.pixels_mut().zip(&self.rgb) {
+            *pixel = Rgb(space.to_srgb(*rgb).map(to_byte));
+        }
+        image
     }
 
     /// Premultiplied colour and alpha without the `background` that the picture is over. `[height·width]`
@@ -39,8 +46,11 @@ mod tests {
 
     #[test]
     fn bytes_are_srgb_whatever_the_space_of_blending() {
-        let picture = Picture { width: 1, height: 1, rgb: vec![[-1.0, 0.5, 2.0]], transmittance: vec![0.0] };
-        assert_eq!(picture.to_rgb8(ColorSpace::SrgbDisplay), [0, 128, 255]);
-        assert_eq!(picture.to_rgb8(ColorSpace::LinearDisplay), [0, 188, 255]);
+        let rgb = vec![[-1.0, 0.5, 2.0], [0.0; 3]];
+        let picture = Picture { width: 1, height: 2, rgb, transmittance: vec![0.0; 2] };
+        for (space, middle) in [(ColorSpace::SrgbDisplay, 128), (ColorSpace::LinearDisplay, 188)] {
+            let image = picture.to_image(space);
+            assert_eq!((image.dimensions(), &image.into_raw()[..]), ((1, 2), &[0, middle, 255, 0, 0, 0][..]));
+        }
     }
 }

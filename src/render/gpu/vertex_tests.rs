@@ -1,6 +1,6 @@
 //! Vertices find back to where the photographs were taken of them.
 
-use glam::{DMat3, DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 
 use super::{
     Gpu,
@@ -25,10 +25,7 @@ fn camera_at(distance: f64, azimuth: f64) -> Camera {
     let focal = size * distance / 2.2;
     let intrinsics = Intrinsics { width: SIDE, height: SIDE, fx: focal, fy: focal, cx: 0.5 * size, cy: 0.5 * size };
     let eye = distance * DVec3::new(azimuth.cos() * 0.7_f64.cos(), azimuth.sin() * 0.7_f64.cos(), 0.7_f64.sin());
-    let forward = -eye.normalize();
-    let right = forward.cross(DVec3::Z).normalize();
-    let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
-    Camera::new(intrinsics, rotation, -(rotation * eye)).unwrap()
+    Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Z).unwrap()
 }
 
 /// A square of side 2 at heights `z(x, y)` with an opaque pattern of waves some ten pixels long.
