@@ -1,10 +1,15 @@
 //! What a checkpoint of a static scene holds, and how a run goes on from it.
 
+mod input;
 mod parts;
+#[cfg(test)]
+mod tests;
+
+pub(super) use input::{Input, InputMesh, InputView};
 
 use std::path::Path;
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use self::parts::{
     Taken, damaged, field, put_epoch, put_floats, put_meshes, put_vertices, put_views, put_words, take_epoch,
@@ -55,8 +60,8 @@ pub(super) struct SurfaceRecord {
 /// What must be the same in a run that goes on from a checkpoint.
 pub(super) struct Identity<'a> {
     pub(super) options: &'a TrainOptions,
-    /// Views and source of the mesh.
-    pub(super) input: Value,
+    /// Views, points and source of the mesh.
+    pub(super) input: Input,
     /// The run makes its surface itself: its vertices move.
     pub(super) finds_surface: bool,
 }
@@ -154,7 +159,7 @@ impl Saved {
 
     /// What [`Self::put`] put in, with what `run` has.
     fn take(mut file: Checkpoint, run: &Identity) -> Taken<Self> {
-        let (file, views) = (&mut file, run.input["views"].as_array().map_or(0, Vec::len));
+        let (file, views) = (&mut file, run.input.views.len());
         Ok(Self {
             meshes: take_meshes(file)?,
             statistics: take_floats("statistics", file)?,
@@ -206,9 +211,9 @@ impl Saved {
 impl Identity<'_> {
     /// Whether a checkpoint is of such a run.
     fn check(&self, file: &Checkpoint) -> Taken<()> {
+        let input: Input = field(file, "input")?;
         // The mesh first, since it decides whether there is a warm-up, and how long.
-        let (input, mesh) = (field(file, "input")?, |input: &Value| input["mesh"].as_str().unwrap_or("?").to_owned());
-        let [had, has] = [&input, &self.input].map(mesh);
+        let (had, has) = (&input.mesh, &self.input.mesh);
         if had != has {
             return Err(format!("expected a checkpoint of a run with the same mesh, but that was {had} and is {has}"));
         }
@@ -224,14 +229,20 @@ impl Identity<'_> {
     }
 }
 
-/// The first option that matters to the result and differs.
+/// What of the options that matter to the result differs, if any does.
 fn changed_option(before: &TrainOptions, now: &TrainOptions) -> Option<String> {
+    let [before, now] = [before, now].map(|o| TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() });
+    (before != now).then(|| first_change(&before, &now).unwrap_or_else(|| "one was another".to_owned()))
+}
+
+/// The first of them that is written otherwise.
+fn first_change(before: &TrainOptions, now: &TrainOptions) -> Option<String> {
     // By way of text, where 0.01 is no longer than that in f32 either.
-    let value = |o: &TrainOptions| {
-        let text = serde_json::to_string(&TrainOptions { checkpoint_every: 0, eval_every: 0, ..o.clone() })?;
-        serde_json::from_str(&text)
+    let fields = |o: &TrainOptions| {
+        let text = serde_json::to_string(o).ok()?;
+        serde_json::from_str::<Map<String, Value>>(&text).ok()
     };
-    let (Ok(Value::Object(before)), Ok(Value::Object(now))) = (value(before), value(now)) else { return None };
+    let (before, now) = (fields(before)?, fields(now)?);
     let (name, value) = before.iter().find(|(name, value)| now.get(*name) != Some(value))?;
     Some(format!("{} was {value} and is {}", name.replace('_', " "), now.get(name).unwrap_or(&Value::Null)))
 }

@@ -6,6 +6,8 @@ mod layers;
 mod margin;
 mod mean_rays;
 mod mesh;
+#[cfg(test)]
+mod mip_tests;
 mod order_flips;
 mod parameters;
 mod ray;

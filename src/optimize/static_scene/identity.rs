@@ -3,45 +3,62 @@
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
-use serde_json::Value;
 
 use crate::{
     capture::{Capture, View},
-    optimize::MeshSource,
+    optimize::{
+        MeshSource,
+        resume::{Input, InputMesh, InputView},
+    },
     scene::Camera,
 };
 
 /// Views, points and mesh that a run is of.
-pub(super) fn input(capture: &Capture, source: &MeshSource) -> Value {
-    let size = |c: &Camera| (c.intrinsics().width, c.intrinsics().height);
+pub(super) fn input(capture: &Capture, source: &MeshSource) -> Input {
+    Input {
+        views: capture.views.iter().map(of_view).collect(),
+        points: capture.points.len(),
+        positions: digest(capture.points.iter().flat_map(|p| p.position.to_array())),
+        mesh: of_mesh(source),
+    }
+}
+
+fn of_view(view: &View) -> InputView {
     // A file is told by its length: paths and times change where a capture is copied.
     let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
-    let files = |v: &View| (length(v.source.path()), v.source.mask().map(length));
-    // Cameras by the bits of their numbers, which JSON may round.
-    let posed = |c: &Camera| {
-        let k = c.intrinsics();
-        let numbers =
-            [c.rotation().to_cols_array().as_slice(), &c.translation().to_array(), &[k.fx, k.fy, k.cx, k.cy]].concat();
-        digest(numbers.into_iter())
-    };
-    // What it is to a run: seen or kept for scores, and straightened by which lens.
-    let role = |v: &View| (v.source.held_out(), format!("{:?}", v.source.lens().distortion));
-    let view = |v: &View| serde_json::json!([v.name, size(&v.camera), posed(&v.camera), files(v), role(v)]);
-    let views: Vec<Value> = capture.views.iter().map(view).collect();
-    let points = digest(capture.points.iter().flat_map(|p| p.position.to_array()));
-    let mesh = match source {
-        MeshSource::None => "none".to_owned(),
-        MeshSource::Splats => "splats".to_owned(),
-        MeshSource::Points => "points".to_owned(),
+    let (k, source) = (view.camera.intrinsics(), &view.source);
+    InputView {
+        name: view.name.clone(),
+        width: k.width,
+        height: k.height,
+        camera: of_camera(&view.camera),
+        photograph: length(source.path()),
+        mask: source.mask().map(length),
+        held_out: source.held_out(),
+        lens: format!("{:?}", source.lens().distortion),
+    }
+}
+
+/// By the bits of its numbers.
+fn of_camera(camera: &Camera) -> u64 {
+    let k = camera.intrinsics();
+    let (rotation, translation) = (camera.rotation().to_cols_array(), camera.translation().to_array());
+    digest([rotation.as_slice(), &translation, &[k.fx, k.fy, k.cx, k.cy]].concat().into_iter())
+}
+
+fn of_mesh(source: &MeshSource) -> InputMesh {
+    match source {
+        MeshSource::None => InputMesh::None,
+        MeshSource::Splats => InputMesh::Splats,
+        MeshSource::Points => InputMesh::Points,
         MeshSource::Given { surface, corner_uvs } => {
             let positions = surface.positions.iter().flat_map(Vec3::to_array).map(f64::from);
             let corners = surface.triangles.iter().flatten().map(|&corner| f64::from(corner));
             let uvs = corner_uvs.iter().flatten().flatten().flat_map(Vec2::to_array).map(f64::from);
             let shape = digest(positions.chain(corners).chain(uvs));
-            format!("given, {} triangles, {shape:016x}", surface.triangles.len())
+            InputMesh::Given { triangles: surface.triangles.len(), shape }
         }
-    };
-    serde_json::json!({ "views": views, "points": (capture.points.len(), points), "mesh": mesh })
+    }
 }
 
 /// FNV-1a of the bits of these numbers.

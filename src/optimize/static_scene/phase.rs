@@ -7,6 +7,7 @@ use rand::{RngExt, seq::SliceRandom};
 
 use super::{Outcome, Phase, Progress, Run, photographs::truth_alpha, plan::Plan, sampled};
 use crate::{
+    capture::Photo,
     evaluate::Comparison,
     geometry::Shell,
     optimize::{
@@ -205,31 +206,74 @@ impl Run<'_> {
 
     /// One view: forward, backward, Adam.
     pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
+        let view = self.view_at(plan, t);
+        let photo = self.photos.of_step(view, self.view_at(plan, t + 1))?;
+        // Where it was found to be, at the size of the picture.
+        let camera = self.cameras[view].resized(photo.width, photo.height);
+        let n_splats = training.n_splats() as u32;
+        training.step(&self.step_on(plan, t, n_splats, view, &camera, &photo))?;
+        Ok(())
+    }
+
+    /// What iteration `t` trains on and how, with so many splats and this photograph of a view.
+    pub(super) fn step_on<'s>(
+        &self,
+        plan: &Plan,
+        t: u32,
+        n_splats: u32,
+        view: usize,
+        camera: &'s Camera,
+        photo: &'s Photo,
+    ) -> Step<'s> {
         let o = self.options;
-        let index = self.view_at(plan, t);
-        let photo = self.photos.of_step(index, self.view_at(plan, t + 1))?;
-        let mut rng = random::generator(o.seed, Purpose::Step(plan.phase), plan.clock + t);
+        let age = plan.clock + t;
+        let mut rng = random::generator(o.seed, Purpose::Step(plan.phase), age);
         let background = match o.background {
             Background::Black => [0.0; 3],
             Background::White => [1.0; 3],
             Background::Random => [0; 3].map(|_| rng.random()),
         };
-        let age = plan.clock + t;
-        let is_mcmc = o.density == Density::Mcmc;
         let seed: u32 = rng.random();
-        let sh_degree = plan.schedule.sh_degree(age, o.sh_degree);
-        let splats = (plan.phase != Phase::Warmup).then(|| AdamStep {
+        let vertex_step = || schedule::vertex_step(t, plan.iterations, self.longest_side);
+        Step {
+            camera,
+            truth: &photo.rgba,
+            kept_as: Some(view),
+            truth_alpha: truth_alpha(photo),
+            background,
+            sh_degree: plan.schedule.sh_degree(age, o.sh_degree),
+            band_degree: if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) },
+            dropout: Dropout { seed, rate: self.dropout(plan, age) },
+            disparity_weight: o.disparity_weight * self.distance,
+            splats: self.splat_step(plan, age, n_splats, seed),
+            texels: self.texel_step(plan, t),
+            vertices: plan.moves_vertices.then(vertex_step).flatten(),
+            exposure: self.exposure_step(plan, view, age),
+            pose: self.pose_step(plan, view, t),
+        }
+    }
+
+    /// How splats move that have been trained for `age` iterations.
+    fn splat_step(&self, plan: &Plan, age: u32, n_splats: u32, seed: u32) -> Option<AdamStep> {
+        let o = self.options;
+        let is_mcmc = o.density == Density::Mcmc;
+        (plan.phase != Phase::Warmup).then(|| AdamStep {
             number: age + 1,
-            n_splats: training.n_splats() as u32,
-            sh_degree,
+            n_splats,
+            sh_degree: plan.schedule.sh_degree(age, o.sh_degree),
             rates: plan.schedule.rates(age, self.extent),
             opacity_weight: if is_mcmc { mcmc::OPACITY_WEIGHT } else { 0.0 },
             scale_weight: if is_mcmc { mcmc::scale_weight(self.unit) } else { 0.0 },
             noise: if is_mcmc { mcmc::noise(self.unit, plan.schedule.haste(age)) } else { 0.0 },
             seed,
             visible_only: o.visible_only,
-        });
-        let texels = plan.has_mesh.then(|| {
+        })
+    }
+
+    /// How maps are moved by iteration `t`.
+    fn texel_step(&self, plan: &Plan, t: u32) -> Option<TexelStep> {
+        let o = self.options;
+        plan.has_mesh.then(|| {
             let is_joint = plan.phase == Phase::Joint;
             let base_rate = texel_rate(o, is_joint.then_some((t, plan.iterations)));
             TexelStep {
@@ -238,38 +282,18 @@ impl Run<'_> {
                 base_rate,
                 band_rate: base_rate / BAND_RATE_DIVISOR,
                 visited_only: !o.dense_texels,
-                holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(age + 1),
+                holds_opacity: is_joint && plan.schedule.freezes_mesh_opacity(plan.clock + t + 1),
             }
-        });
-        let vertices =
-            plan.moves_vertices.then(|| schedule::vertex_step(t, plan.iterations, self.longest_side)).flatten();
-        let band_degree = if plan.phase == Phase::Joint { sh::MAX_DEGREE } else { plan.schedule.sh_degree(t, 3) };
-        training.step(&Step {
-            // Where it was found to be, at the size of the picture.
-            camera: &self.cameras[index].resized(photo.width, photo.height),
-            truth: &photo.rgba,
-            kept_as: Some(index),
-            truth_alpha: truth_alpha(&photo),
-            background,
-            sh_degree,
-            band_degree,
-            dropout: Dropout { seed, rate: self.dropout(plan, age) },
-            disparity_weight: o.disparity_weight * self.distance,
-            splats,
-            texels,
-            vertices,
-            exposure: self.exposures.as_ref().map(|_| ExposureStep {
-                view: index,
-                // In the warm-up few of the views are seen, and maps follow those.
-                rate: if plan.phase == Phase::Warmup {
-                    0.0
-                } else {
-                    plan.schedule.exposure_rate(age, self.train.len())
-                },
-            }),
-            pose: self.pose_step(plan, index, t),
-        })?;
-        Ok(())
+        })
+    }
+
+    /// Whose exposure counts, and how it moves, with splats of this age.
+    fn exposure_step(&self, plan: &Plan, view: usize, age: u32) -> Option<ExposureStep> {
+        self.exposures.as_ref().map(|_| ExposureStep {
+            view,
+            // In the warm-up few of the views are seen, and maps follow those.
+            rate: if plan.phase == Phase::Warmup { 0.0 } else { plan.schedule.exposure_rate(age, self.train.len()) },
+        })
     }
 
     /// Part of the splats that an iteration leaves out.

@@ -11,6 +11,7 @@ mod photographs;
 mod pruned;
 mod resuming;
 mod scale;
+mod steps;
 mod surfaces;
 mod visibility;
 

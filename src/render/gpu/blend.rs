@@ -219,3 +219,53 @@ impl BlendBackward {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+
+    /// Also of subgroups that no adapter here has: every sum is in one place, and comes to what its addends do one after the other.
+    #[test]
+    fn sums_are_spread_over_any_number_of_lanes() {
+        let gpu = Gpu::open(None).unwrap();
+        let mut rng = Pcg32::seed_from_u64(1);
+        for (lanes, absolute) in [8_usize, 16, 32, 64].into_iter().flat_map(|lanes| [(lanes, false), (lanes, true)]) {
+            let n_moments = moments(absolute);
+            // Those of both splats.
+            let row = 2 * n_moments;
+            let addends: Vec<f32> = (0..lanes * row).map(|_| rng.random_range(-1.0..1.0)).collect();
+            let defines = (gpu.defines().with("LANES", lanes as u32).with("MOMENTS", n_moments as u32))
+                .with("HALF", n_moments as u32 / 2)
+                .with("ABSOLUTE", u32::from(absolute));
+            let buffers = [
+                gpu.storage_with("addends", &addends).unwrap(),
+                gpu.storage("totals", 4 * lanes).unwrap(),
+                gpu.storage("places", 4 * lanes).unwrap(),
+            ];
+            let stage = Stage::new(&gpu, "tests/spread.wgsl", "main", &defines, &buffers.each_ref());
+            let mut frame = Frame::new(&gpu);
+            frame.dispatch(&stage, 1);
+            frame.submit();
+            let [_, totals, places] = &buffers;
+            let (totals, places) = gpu.read_both::<[f32; 4], [u32; 4]>((totals, lanes), (places, lanes)).unwrap();
+
+            let mut found: Vec<Vec<f64>> = vec![vec![]; row];
+            for (totals, places) in totals.iter().zip(&places) {
+                for (total, place) in totals.iter().zip(places).take(3) {
+                    assert!(*place as usize <= row, "{lanes} lanes: {place} of {row}");
+                    if let Some(found) = found.get_mut(*place as usize) {
+                        found.push(f64::from(*total));
+                    }
+                }
+            }
+            for (place, found) in found.iter().enumerate() {
+                let expected: f64 = addends.iter().skip(place).step_by(row).map(|a| f64::from(*a)).sum();
+                let is_it = matches!(found[..], [total] if (total - expected).abs() < 1e-6 * lanes as f64);
+                assert!(is_it, "{lanes} lanes, sum {place} of {row}: {found:?}, not {expected}");
+            }
+        }
+    }
+}

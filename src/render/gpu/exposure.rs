@@ -96,19 +96,15 @@ impl Exposures {
 
     /// Binds the buffers of a pipeline and its way back, and the photograph, as the loss has it.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward, truth: &Buffer) {
-        let [first, second] = &self.views.moments;
-        let buffers = [
-            &pipeline.front.view,
-            &self.uniform,
-            &pipeline.blend.image,
-            &backward.image_gradient,
-            &self.views.values,
-            first,
-            second,
-            &self.partial,
-            &backward.status,
-            truth,
-        ];
+        let images = [&pipeline.blend.image, &backward.image_gradient, truth];
+        self.bind_images(gpu, images, &pipeline.front.view, &backward.status);
+    }
+
+    /// Binds what is rendered, the gradient and the photograph.
+    fn bind_images(&mut self, gpu: &Gpu, [image, gradient, truth]: [&Buffer; 3], view: &Buffer, status: &Buffer) {
+        let Self { uniform, partial, views, .. } = &*self;
+        let [first, second] = &views.moments;
+        let buffers = [view, uniform, image, gradient, &views.values, first, second, partial, status, truth];
         self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
@@ -141,5 +137,56 @@ impl Exposures {
     /// Replaces everything by a state of as many views.
     pub(crate) fn write(&mut self, gpu: &Gpu, state: &ExposureState) {
         self.views.write(gpu, state);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+    use crate::{
+        render::gpu::{status::status_buffer, view::VIEW_WORDS},
+        scene::{Camera, Composition, Intrinsics},
+    };
+
+    /// More parts of the gradient than there are threads to add them up: of a picture that is brighter, and pulls harder, towards its end.
+    #[test]
+    fn all_of_a_large_picture_pulls() {
+        let (width, height) = (1100, 1000);
+        let k = Intrinsics { width, height, fx: 1000.0, fy: 1000.0, cx: 550.0, cy: 500.0 };
+        let view = View::of(&Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap(), Composition::default());
+        let pixels = view.pixels();
+        assert!(groups(pixels, PIXELS) > 256);
+        // Of pixel p, channel c.
+        let value = |p: usize, c: usize| (p % 97 + 31 * c) as f32 / 200.0 + p as f32 / pixels as f32;
+        let image: Vec<[f32; 4]> = (0..pixels).map(|p| [value(p, 0), value(p, 1), value(p, 2), 0.0]).collect();
+        let slopes: Vec<[f32; 4]> =
+            image.iter().map(|[r, g, b, _]| [*b, *g, *r, 0.0].map(|v| v / pixels as f32)).collect();
+
+        let gpu = Gpu::open(None).unwrap();
+        let uniform = gpu.uniform("view", VIEW_WORDS).unwrap();
+        gpu.write(&uniform, 0, &view.words());
+        let images = [
+            gpu.storage_with("image", &image).unwrap(),
+            gpu.storage_with("gradient", &slopes).unwrap(),
+            gpu.storage("truth", pixels).unwrap(),
+        ];
+        let mut exposures = Exposures::new(&gpu, &ExposureState::new(1), pixels).unwrap();
+        exposures.bind_images(&gpu, images.each_ref(), &uniform, &status_buffer(&gpu).unwrap());
+        let mut frame = Frame::new(&gpu);
+        let step = ExposureStep { view: 0, rate: 1e-3 };
+        exposures.record(&gpu, &mut frame, &view, &step, TruthAlpha::Ignore);
+        frame.submit();
+
+        let [first, _] = exposures.read(&gpu).unwrap().moments;
+        for (i, moment) in first.into_iter().enumerate() {
+            let (row, column) = (i / 4, i % 4);
+            let seen = |rgb: &[f32; 4]| if column < 3 { f64::from(rgb[column]) } else { 1.0 };
+            let expected: f64 = image.iter().zip(&slopes).map(|(rgb, g)| f64::from(g[row]) * seen(rgb)).sum();
+            // Adam's first moment of the first step is a tenth of the gradient.
+            let found = 10.0 * f64::from(moment);
+            assert!((found / expected - 1.0).abs() < 1e-5, "{i}: {found}, not {expected}");
+        }
     }
 }

@@ -99,19 +99,28 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
         .unwrap();
 }
 
-/// Of an exposed picture and the truth, which is over the background as it is exposed.
-fn values(state: &ExposureState, picture: &[[f32; 3]], truth: &[u8]) -> LossValues {
+/// The software adapter's kernels, and those for GPUs.
+fn gpus() -> [Gpu; 2] {
+    [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()]
+}
+
+/// Of an exposed picture and the truth, which is over the background as it is exposed, or weighs both by its alpha.
+fn values(state: &ExposureState, picture: &[[f32; 3]], (truth, alpha): (&[u8], TruthAlpha)) -> LossValues {
     let e: Vec<f64> = state.of(1).map(f64::from).to_vec();
     let exposed = |rgb: &[f32; 3], c: usize| {
         let [r, g, b] = rgb.map(f64::from);
         e[4 * c] * r + e[4 * c + 1] * g + e[4 * c + 2] * b + e[4 * c + 3]
     };
     let channels = [0, 1, 2].map(|c| {
-        let true_values = truth.chunks(4).map(|rgba| {
-            let alpha = f64::from(rgba[3]) / 255.0;
-            alpha * f64::from(rgba[c]) / 255.0 + (1.0 - alpha) * exposed(&BACKGROUND, c)
-        });
-        (picture.iter().map(|rgb| exposed(rgb, c)).collect::<Vec<_>>(), true_values.collect::<Vec<_>>())
+        let of_pixel = |(rgb, rgba): (&[f32; 3], &[u8])| {
+            let (part, x, y) = (f64::from(rgba[3]) / 255.0, exposed(rgb, c), f64::from(rgba[c]) / 255.0);
+            match alpha {
+                TruthAlpha::Ignore => (x, y),
+                TruthAlpha::Composite => (x, part * y + (1.0 - part) * exposed(&BACKGROUND, c)),
+                TruthAlpha::Mask => (part * x, part * y),
+            }
+        };
+        picture.iter().zip(truth.chunks(4)).map(of_pixel).unzip::<f64, f64, Vec<_>, Vec<_>>()
     });
     defined(SIZE.map(|side| side as usize), channels.each_ref().map(|(x, y)| [&x[..], &y[..]]))
 }
@@ -124,75 +133,119 @@ fn loss(values: LossValues, ssim_weight: f32) -> f64 {
 /// With SSIM, too, whose windows are of what is exposed.
 #[test]
 fn gradients_are_those_of_the_exposed_picture() {
-    assert_gradients(0.0, &truth());
-    assert_gradients(0.2, &truth());
+    assert_gradients(&[0.0, 0.2], (&truth(), TruthAlpha::Composite));
 }
 
-/// What is behind a photograph with alpha is exposed with it. Of alphas by which no difference changes its sign near the pictures here.
+/// The truth, of which every third pixel has an alpha of 0, and the others one by which no difference changes its sign near the pictures here.
+fn cut_out() -> Vec<u8> {
+    let is_there = |p: usize| if p.is_multiple_of(3) { 0 } else { 230 };
+    truth().chunks(4).enumerate().flat_map(|(p, c)| [c[0], c[1], c[2], is_there(p)]).collect()
+}
+
+/// What is behind a photograph with alpha is exposed with it.
 #[test]
 fn gradients_are_those_of_a_photograph_over_the_exposed_background() {
-    let is_there = |p: usize| if p.is_multiple_of(3) { 0 } else { 230 };
-    let cut_out: Vec<u8> = truth().chunks(4).enumerate().flat_map(|(p, c)| [c[0], c[1], c[2], is_there(p)]).collect();
-    assert_gradients(0.0, &cut_out);
+    assert_gradients(&[0.0], (&cut_out(), TruthAlpha::Composite));
 }
 
-/// Compares the gradients of a step with central differences of the definition.
-fn assert_gradients(ssim_weight: f32, truth: &[u8]) {
-    let (gpu, state) = (Gpu::open(None).unwrap(), exposures());
-    let mut trained = training(&gpu, &scene((0, 0), 0.0), ssim_weight);
-    let picture = trained.render(&camera(), BACKGROUND, Show::All).unwrap().rgb;
-    trained.expose(&state).unwrap();
-    step_on(&mut trained, (truth, TruthAlpha::Composite), Some(ExposureStep { view: 1, rate: 1e-2 }));
-    let (found, expected) = (trained.loss().unwrap(), values(&state, &picture, truth));
-    assert!(
-        (found.l1 - expected.l1).abs() < 1e-6 && (found.ssim - expected.ssim).abs() < 1e-5,
-        "{found:?} {expected:?}"
-    );
+/// What weighs nothing says nothing of the exposure.
+#[test]
+fn gradients_are_those_of_the_exposed_picture_behind_a_mask() {
+    assert_gradients(&[0.0, 0.2], (&cut_out(), TruthAlpha::Mask));
+}
 
-    // Adam's first moment of the first step is a tenth of the gradient.
-    let after = trained.read_exposures().unwrap().unwrap();
-    let largest = testing::largest(after.moments[0].iter().map(|m| f64::from(10.0 * m.abs())));
-    assert!(largest > 0.01, "{largest}");
-    for i in 0..FLOATS {
-        let at = |h: f32| {
-            let mut moved = state.clone();
-            moved.values[FLOATS + i] += h;
-            (loss(values(&moved, &picture, truth), ssim_weight), f64::from(moved.values[FLOATS + i]))
-        };
-        let ((a, to_a), (b, to_b)) = (at(1e-4), at(-1e-4));
-        let (numeric, found) = ((a - b) / (to_a - to_b), f64::from(10.0 * after.moments[0][FLOATS + i]));
-        assert!((numeric - found).abs() < 1e-5 * largest, "{i}: {found}, differences say {numeric}");
-        // And the step is one of Adam: by the rate, against the gradient.
-        let moved = after.values[FLOATS + i] - state.values[FLOATS + i];
-        assert!((f64::from(moved) + 1e-2 * numeric.signum()).abs() < 1e-6, "{i}: {moved}");
-    }
-    // The other views rest.
-    for other in [0, 2] {
-        assert_eq!(after.of(other), state.of(other));
-    }
-    assert_eq!(after.steps, [0, 1, 0]);
+/// Losses where a number is more and where it is less, and by how much these are apart.
+struct Sides {
+    losses: [LossValues; 2],
+    apart: f64,
+}
 
-    // What the scene learns is the gradient through the exposure.
-    let found = trained.read_splats().unwrap().sh_m.clone();
-    for splat in 0..SPLATS {
-        for channel in 0..3 {
-            let at = |h: f32| {
-                let mut moved = training(&gpu, &scene((splat, channel), h), ssim_weight);
-                let picture = moved.render(&camera(), BACKGROUND, Show::All).unwrap().rgb;
-                loss(values(&state, &picture, truth), ssim_weight)
-            };
-            let numeric = (at(0.05) - at(-0.05)) / 0.1;
-            let found = f64::from(10.0 * found[3 * splat + channel]);
-            assert!((numeric - found).abs() < 2e-6 + 1e-3 * numeric.abs(), "{splat}.{channel}: {found}, not {numeric}");
+impl Sides {
+    fn slope(&self, ssim_weight: f32) -> f64 {
+        let [more, less] = self.losses.map(|values| loss(values, ssim_weight));
+        (more - less) / self.apart
+    }
+}
+
+/// Of the exposure's floats.
+fn exposure_sides(picture: &[[f32; 3]], truth: (&[u8], TruthAlpha)) -> Vec<Sides> {
+    let sides = |i: usize| {
+        let moved = [1e-4, -1e-4].map(|h: f32| {
+            let mut state = exposures();
+            state.values[FLOATS + i] += h;
+            state
+        });
+        let [more, less] = moved.each_ref().map(|state| f64::from(state.values[FLOATS + i]));
+        Sides { losses: moved.each_ref().map(|state| values(state, picture, truth)), apart: more - less }
+    };
+    (0..FLOATS).map(sides).collect()
+}
+
+/// Of the splats' coefficients, `[splat·3 + channel]`.
+fn sh_sides(gpu: &Gpu, truth: (&[u8], TruthAlpha)) -> Vec<Sides> {
+    let state = exposures();
+    let coefficients = (0..SPLATS).flat_map(|splat| [0, 1, 2].map(|channel| (splat, channel)));
+    let sides = |which: (usize, usize)| {
+        let losses = [0.05, -0.05].map(|h| {
+            let mut moved = training(gpu, &scene(which, h), 0.0);
+            values(&state, &moved.render(&camera(), BACKGROUND, Show::All).unwrap().rgb, truth)
+        });
+        Sides { losses, apart: 0.1 }
+    };
+    coefficients.map(sides).collect()
+}
+
+/// Compares the gradients of a step, by the kernels of either kind of adapter, with central differences of the definition.
+fn assert_gradients(ssim_weights: &[f32], truth: (&[u8], TruthAlpha)) {
+    let (gpus, state) = (gpus(), exposures());
+    let picture = training(&gpus[0], &scene((0, 0), 0.0), 0.0).render(&camera(), BACKGROUND, Show::All).unwrap().rgb;
+    let (expected, by_exposure, by_sh) =
+        (values(&state, &picture, truth), exposure_sides(&picture, truth), sh_sides(&gpus[0], truth));
+    for (gpu, &ssim_weight) in gpus.iter().flat_map(|gpu| ssim_weights.iter().map(move |weight| (gpu, weight))) {
+        let case = format!("{:?}, SSIM {ssim_weight}, {:?}", gpu.profile(), truth.1);
+        let mut trained = training(gpu, &scene((0, 0), 0.0), ssim_weight);
+        // Lists are long enough then.
+        trained.render(&camera(), BACKGROUND, Show::All).unwrap();
+        trained.expose(&state).unwrap();
+        step_on(&mut trained, truth, Some(ExposureStep { view: 1, rate: 1e-2 }));
+        let found = trained.loss().unwrap();
+        assert!(
+            (found.l1 - expected.l1).abs() < 1e-6 && (found.ssim - expected.ssim).abs() < 1e-5,
+            "{case}: {found:?} {expected:?}"
+        );
+
+        // Adam's first moment of the first step is a tenth of the gradient.
+        let after = trained.read_exposures().unwrap().unwrap();
+        let largest = testing::largest(after.moments[0].iter().map(|m| f64::from(10.0 * m.abs())));
+        assert!(largest > 0.01, "{case}: {largest}");
+        for (i, sides) in by_exposure.iter().enumerate() {
+            let (numeric, found) = (sides.slope(ssim_weight), f64::from(10.0 * after.moments[0][FLOATS + i]));
+            assert!((numeric - found).abs() < 1e-5 * largest, "{case}, {i}: {found}, differences say {numeric}");
+            // And the step is one of Adam: by the rate, against the gradient.
+            let moved = after.values[FLOATS + i] - state.values[FLOATS + i];
+            assert!((f64::from(moved) + 1e-2 * numeric.signum()).abs() < 1e-6, "{case}, {i}: {moved}");
+        }
+        // The other views rest.
+        for other in [0, 2] {
+            assert_eq!(after.of(other), state.of(other));
+        }
+        assert_eq!(after.steps, [0, 1, 0]);
+
+        // What the scene learns is the gradient through the exposure.
+        let found = trained.read_splats().unwrap().sh_m;
+        assert_eq!(found.len(), by_sh.len());
+        for (i, (found, sides)) in found.iter().zip(&by_sh).enumerate() {
+            let (numeric, found) = (sides.slope(ssim_weight), f64::from(10.0 * found));
+            assert!((numeric - found).abs() < 2e-6 + 1e-3 * numeric.abs(), "{case}, SH {i}: {found}, not {numeric}");
         }
     }
 }
 
 #[test]
 fn the_identity_changes_nothing() {
-    let (gpu, truth, scene) = (Gpu::open(None).unwrap(), truth(), scene((0, 0), 0.0));
-    let learnt = |exposed: bool| {
-        let mut training = training(&gpu, &scene, 0.2);
+    let (gpus, truth, scene) = (gpus(), truth(), scene((0, 0), 0.0));
+    let learnt = |gpu: &Gpu, exposed: bool| {
+        let mut training = training(gpu, &scene, 0.2);
         if exposed {
             training.expose(&ExposureState::new(2)).unwrap();
         }
@@ -202,10 +255,12 @@ fn the_identity_changes_nothing() {
         }
         (training.loss().unwrap(), training.read_splats().unwrap())
     };
-    let ((loss, with), (expected, without)) = (learnt(true), learnt(false));
-    assert_eq!(loss, expected);
-    for (a, b) in with.geometry_m.iter().zip(&without.geometry_m).chain(with.sh_m.iter().zip(&without.sh_m)) {
-        assert!((a - b).abs() < 1e-7, "{a} {b}");
+    for gpu in &gpus {
+        let ((loss, with), (expected, without)) = (learnt(gpu, true), learnt(gpu, false));
+        assert_eq!(loss, expected);
+        for (a, b) in with.geometry_m.iter().zip(&without.geometry_m).chain(with.sh_m.iter().zip(&without.sh_m)) {
+            assert!((a - b).abs() < 1e-7, "{a} {b}");
+        }
     }
 }
 
@@ -240,13 +295,15 @@ fn the_mean_of_the_training_views_is_taken_out() {
 /// A photograph of nothing is over the background as its exposure has it: that agrees with a picture of nothing.
 #[test]
 fn what_is_transparent_on_both_sides_leaves_exposures_alone() {
-    let (gpu, state) = (Gpu::open(None).unwrap(), exposures());
+    let state = exposures();
     let nothing = HybridScene { splats: Splats::empty(0), ..scene((0, 0), 0.0) };
     let truth: Vec<u8> = truth().chunks(4).flat_map(|p| [p[0], p[1], p[2], 0]).collect();
-    let mut trained = training(&gpu, &nothing, 0.2);
-    trained.expose(&state).unwrap();
-    step_on(&mut trained, (&truth, TruthAlpha::Composite), Some(ExposureStep { view: 1, rate: 1e-2 }));
-    assert!(trained.loss().unwrap().l1 < 1e-6);
-    let after = trained.read_exposures().unwrap().unwrap();
-    assert!(after.moments[0].iter().all(|m| m.abs() < 1e-7), "{:?}", after.moments[0]);
+    for gpu in gpus() {
+        let mut trained = training(&gpu, &nothing, 0.2);
+        trained.expose(&state).unwrap();
+        step_on(&mut trained, (&truth, TruthAlpha::Composite), Some(ExposureStep { view: 1, rate: 1e-2 }));
+        assert!(trained.loss().unwrap().l1 < 1e-6);
+        let after = trained.read_exposures().unwrap().unwrap();
+        assert!(after.moments[0].iter().all(|m| m.abs() < 1e-7), "{:?}", after.moments[0]);
+    }
 }

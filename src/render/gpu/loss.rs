@@ -131,11 +131,12 @@ pub(super) mod tests {
     use rand_pcg::Pcg32;
 
     use super::*;
-    use crate::render::gpu::view::VIEW_WORDS;
+    use crate::render::{gpu::view::VIEW_WORDS, testing};
 
     const BACKGROUND: [f32; 3] = [0.9, 0.4, 0.1];
     /// Of the loss by the disparity of a pixel that is as its photograph.
     const SLOPE: f32 = 3.0;
+    const SSIM_WEIGHT: f32 = 0.2;
 
     struct Images {
         size: [usize; 2],
@@ -144,35 +145,80 @@ pub(super) mod tests {
         alpha: TruthAlpha,
     }
 
-    /// The definition, window by window, of `[h·w]` rendered and true values of each channel.
-    pub(in crate::render::gpu) fn defined([w, h]: [usize; 2], channels: [[&[f64]; 2]; 3]) -> LossValues {
+    /// Weights of a window along one of its sides.
+    fn gauss() -> Vec<f64> {
         let gauss: Vec<f64> = (-5..=5).map(|i| (-f64::from(i * i) / 4.5).exp()).collect();
-        let norm = gauss.iter().sum::<f64>().powi(2);
+        let sum: f64 = gauss.iter().sum();
+        gauss.iter().map(|weight| weight / sum).collect()
+    }
+
+    /// Pixels of an image in the window around one, and what they weigh; others are zeros.
+    fn window(gauss: &[f64], [w, h]: [usize; 2], pixel: usize) -> impl Iterator<Item = (usize, f64)> {
+        let (row, column) = (pixel / w, pixel % w);
+        (row.saturating_sub(5)..h.min(row + 6)).flat_map(move |r| {
+            let columns = column.saturating_sub(5)..w.min(column + 6);
+            columns.map(move |k| (r * w + k, gauss[r + 5 - row] * gauss[k + 5 - column]))
+        })
+    }
+
+    /// Of a window: its means of x and y, and A, B, C and D, of which SSIM is AB/(CD).
+    struct Window {
+        means: [f64; 2],
+        factors: [f64; 4],
+    }
+
+    impl Window {
+        fn of([x, y]: [&[f64]; 2], pixels: impl Iterator<Item = (usize, f64)>) -> Self {
+            let mut m = [0.0; 5];
+            pixels.for_each(|(i, weight)| {
+                let (x, y) = (x[i], y[i]);
+                let terms = [x, y, x * x, y * y, x * y];
+                m.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
+            });
+            let [m1, m2, ..] = m;
+            let (s11, s22, s12) = (m[2] - m1 * m1, m[3] - m2 * m2, m[4] - m1 * m2);
+            let factors = [2.0 * m1 * m2 + 1e-4, 2.0 * s12 + 9e-4, m1 * m1 + m2 * m2 + 1e-4, s11 + s22 + 9e-4];
+            Self { means: [m1, m2], factors }
+        }
+
+        fn ssim(&self) -> f64 {
+            let [a, b, c, d] = self.factors;
+            a * b / (c * d)
+        }
+
+        /// ∂SSIM by the means of x, x² and xy.
+        fn slopes(&self) -> [f64; 3] {
+            let ([m1, m2], [a, b, c, d], s) = (self.means, self.factors, self.ssim());
+            let by_mean = 2.0 * m2 * (b - a) / (c * d) + 2.0 * m1 * s * (1.0 / d - 1.0 / c);
+            [by_mean, -s / d, 2.0 * a / (c * d)]
+        }
+    }
+
+    /// The definition, window by window, of `[h·w]` rendered and true values of each channel.
+    pub(in crate::render::gpu) fn defined(size: [usize; 2], channels: [[&[f64]; 2]; 3]) -> LossValues {
+        let gauss = gauss();
         let (mut l1, mut ssim) = (0.0, 0.0);
         for [x, y] in channels {
-            for (row, column) in (0..h).flat_map(|r| (0..w).map(move |c| (r, c))) {
-                let mut m = [0.0; 5];
-                for (r, k) in (row.saturating_sub(5)..h.min(row + 6))
-                    .flat_map(|r| (column.saturating_sub(5)..w.min(column + 6)).map(move |k| (r, k)))
-                {
-                    let weight = gauss[r + 5 - row] * gauss[k + 5 - column] / norm;
-                    let (x, y) = (x[r * w + k], y[r * w + k]);
-                    m = [
-                        m[0] + weight * x,
-                        m[1] + weight * y,
-                        m[2] + weight * x * x,
-                        m[3] + weight * y * y,
-                        m[4] + weight * x * y,
-                    ];
-                }
-                let (s11, s22, s12) = (m[2] - m[0] * m[0], m[3] - m[1] * m[1], m[4] - m[0] * m[1]);
-                ssim += (2.0 * m[0] * m[1] + 1e-4) * (2.0 * s12 + 9e-4)
-                    / ((m[0] * m[0] + m[1] * m[1] + 1e-4) * (s11 + s22 + 9e-4));
-            }
+            let of_window = |pixel| Window::of([x, y], window(&gauss, size, pixel)).ssim();
+            ssim += (0..x.len()).map(of_window).sum::<f64>();
             l1 += x.iter().zip(y).map(|(x, y)| (x - y).abs()).sum::<f64>();
         }
-        let n = (3 * w * h) as f64;
+        let n = (3 * size[0] * size[1]) as f64;
         LossValues { l1: l1 / n, ssim: ssim / n }
+    }
+
+    /// Derivative of the loss by the rendered values of a channel, `[h·w]`. L1 has none where they are the true ones.
+    fn adjoint(size: [usize; 2], [x, y]: [&[f64]; 2], ssim_weight: f64) -> Vec<f64> {
+        let (gauss, n) = (gauss(), (3 * x.len()) as f64);
+        let by_l1 = |(x, y): (&f64, &f64)| if x == y { 0.0 } else { (x - y).signum() };
+        let mut slopes: Vec<f64> = x.iter().zip(y).map(by_l1).map(|slope| (1.0 - ssim_weight) * slope / n).collect();
+        for pixel in 0..x.len() {
+            let [by_mean, by_square, by_product] = Window::of([x, y], window(&gauss, size, pixel)).slopes();
+            window(&gauss, size, pixel).for_each(|(i, weight)| {
+                slopes[i] -= ssim_weight / n * weight * (by_mean + 2.0 * x[i] * by_square + y[i] * by_product);
+            });
+        }
+        slopes
     }
 
     impl Images {
@@ -250,54 +296,81 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn the_adjoint_is_that_of_differences() {
+        let (size, w) = ([17, 13], 0.2);
+        let images = Images::random(size, TruthAlpha::Composite, 1);
+        let channels = [0, 1, 2].map(|c| {
+            let (x, y, _) = images.channel(c);
+            [x, y]
+        });
+        for (c, [x, y]) in channels.iter().enumerate() {
+            let expected = adjoint(size, [x, y], w);
+            let largest = testing::largest(expected.iter().map(|e| e.abs()));
+            for (pixel, expected) in expected.into_iter().enumerate().step_by(7) {
+                let loss_at = |h: f64| {
+                    let mut moved = channels.clone();
+                    moved[c][0][pixel] += h;
+                    let values = defined(size, moved.each_ref().map(|[x, y]| [&x[..], &y[..]]));
+                    (1.0 - w) * values.l1 - w * values.ssim
+                };
+                let numeric = (loss_at(1e-5) - loss_at(-1e-5)) / 2e-5;
+                let error = (numeric - expected).abs();
+                assert!(error < 1e-6 * largest, "pixel {pixel}.{c}: {expected}, differences say {numeric}");
+            }
+        }
+    }
+
+    /// Of the largest slope: f32 means over windows are off by 1e-7 or so, and variances here are some hundredths.
+    const SLOPES: f64 = 1e-5;
+
+    #[test]
     fn loss_and_gradient_match_the_definition() {
+        // Around the sides of either kernel's tiles, and far from them.
         let cases = [
             ([37, 101], TruthAlpha::Ignore),
             ([16, 40], TruthAlpha::Composite),
             ([53, 20], TruthAlpha::Mask),
             ([3, 2], TruthAlpha::Ignore),
+            ([15, 41], TruthAlpha::Ignore),
+            ([17, 39], TruthAlpha::Composite),
+            ([17, 41], TruthAlpha::Mask),
+            ([7, 65], TruthAlpha::Ignore),
+            ([9, 63], TruthAlpha::Composite),
+            ([9, 65], TruthAlpha::Mask),
         ];
         let gpus = [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()];
-        for (gpu, (i, (size, alpha))) in
-            gpus.iter().flat_map(|gpu| cases.into_iter().enumerate().map(move |c| (gpu, c)))
-        {
-            let mut images = Images::random(size, alpha, i as u64);
-            let (found, gradient) = images.on_gpu(gpu, 0.2);
-            let expected = images.values();
-            assert!((found.l1 - expected.l1).abs() < 1e-6, "{size:?} {alpha:?}: {found:?}, not {expected:?}");
-            assert!((found.ssim - expected.ssim).abs() < 1e-5, "{size:?} {alpha:?}: {found:?}, not {expected:?}");
-
-            let n = size[0] * size[1];
-            let largest = gradient.iter().flat_map(|g| &g[..3]).fold(0f32, |a, &b| a.max(b.abs()));
-            let w = 0.2;
-            for j in 0..24 {
-                let (pixel, c) = (j * 7919 % n, j % 3);
-                let (x, y, _) = images.channel(c);
-                let difference = (x[pixel] - y[pixel]).abs();
-                // L1 has a kink at 0; its subgradient there is 0, and SSIM has none, so it is differenced alone.
-                let mut loss_at = |step: f32| {
-                    let before = images.image[pixel][c];
-                    images.image[pixel][c] += step;
-                    let v = images.values();
-                    let moved = f64::from(images.image[pixel][c] - before);
-                    images.image[pixel][c] = before;
-                    ((1.0 - w) * if difference < 1e-6 { 0.0 } else { v.l1 } - w * v.ssim, moved)
-                };
-                let ((a, to_a), (b, to_b)) = (loss_at(1e-4), loss_at(-1e-4));
-                let numeric = (a - b) / (to_a - to_b);
-                let analytic = f64::from(gradient[pixel][c]);
-                // Relative to the largest gradient: single entries may cancel to nothing.
-                let error = (numeric - analytic).abs() / f64::from(largest);
-                assert!(error < 1e-3, "{size:?} {alpha:?} pixel {pixel}.{c}: {analytic}, differences say {numeric}");
-            }
-            assert!(gradient.iter().all(|g| g[..3].iter().all(|&c| c != 7.0)), "every pixel is written");
+        for (i, (size, alpha)) in cases.into_iter().enumerate() {
+            let images = Images::random(size, alpha, i as u64);
+            let values = images.values();
             let channels = [0, 1, 2].map(|c| images.channel(c));
-            for (pixel, g) in gradient.iter().enumerate() {
-                let amiss = channels.iter().map(|(x, y, _)| (x[pixel] - y[pixel]).abs()).fold(0.0, f64::max);
-                let expected = f64::from(SLOPE) * (-amiss / 0.02).exp();
-                let error = (f64::from(g[3]) - expected).abs();
-                // Colours are off by an ulp or two, for e to the fiftyfold of it.
-                assert!(error < 3e-5 * f64::from(SLOPE), "{size:?} {alpha:?} pixel {pixel}: {}, not {expected}", g[3]);
+            let slopes = channels.each_ref().map(|(x, y, weight)| {
+                let by_compared = adjoint(size, [x, y], f64::from(SSIM_WEIGHT));
+                by_compared.iter().zip(weight).map(|(slope, weight)| slope * weight).collect::<Vec<_>>()
+            });
+            let largest = testing::largest(slopes.iter().flatten().map(|slope| slope.abs()));
+            for gpu in &gpus {
+                let (found, gradient) = images.on_gpu(gpu, SSIM_WEIGHT);
+                assert!((found.l1 - values.l1).abs() < 1e-6, "{size:?} {alpha:?}: {found:?}, not {values:?}");
+                assert!((found.ssim - values.ssim).abs() < 1e-5, "{size:?} {alpha:?}: {found:?}, not {values:?}");
+                for (pixel, g) in gradient.iter().enumerate() {
+                    for (c, slopes) in slopes.iter().enumerate() {
+                        let (found, expected) = (f64::from(g[c]), slopes[pixel]);
+                        let error = (found - expected).abs();
+                        assert!(
+                            error < SLOPES * largest,
+                            "{size:?} {alpha:?} pixel {pixel}.{c}: {found}, not {expected} of at most {largest}"
+                        );
+                    }
+                    let amiss = testing::largest(channels.iter().map(|(x, y, _)| (x[pixel] - y[pixel]).abs()));
+                    let expected = f64::from(SLOPE) * (-amiss / 0.02).exp();
+                    let error = (f64::from(g[3]) - expected).abs();
+                    // Colours are off by an ulp or two, for e to the fiftyfold of it.
+                    assert!(
+                        error < 3e-5 * f64::from(SLOPE),
+                        "{size:?} {alpha:?} pixel {pixel}: {}, not {expected}",
+                        g[3]
+                    );
+                }
             }
         }
     }

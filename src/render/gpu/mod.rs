@@ -7,8 +7,12 @@ mod blend;
 mod device;
 pub(crate) mod exposure;
 #[cfg(test)]
+mod exposure_disparity_tests;
+#[cfg(test)]
 mod exposure_tests;
 mod front;
+#[cfg(test)]
+mod gather_tests;
 mod layered;
 #[cfg(test)]
 mod layered_tests;

@@ -110,20 +110,19 @@ impl Poses {
 
     /// Binds the buffers of a pipeline and its way back, if that differentiates by poses.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
-        let Some(by_turn) = &backward.splats.turn else { return };
-        let [first, second] = &self.views.moments;
-        let buffers = [
-            &pipeline.front.view,
-            &self.step,
-            &self.views.values,
-            first,
-            second,
-            by_turn,
-            &backward.splats.geometry,
-            &self.partial,
-            &backward.status,
-            &pipeline.front.lists.visible,
-        ];
+        if let Some(by_turn) = &backward.splats.turn {
+            let gradients = [by_turn, &backward.splats.geometry];
+            let front = &pipeline.front;
+            self.bind_gradients(gpu, gradients, [&front.view, &front.lists.visible, &backward.status]);
+        }
+    }
+
+    /// Binds the gradients of splats by a rotation and by their geometry.
+    fn bind_gradients(&mut self, gpu: &Gpu, gradients: [&Buffer; 2], [view, visible, status]: [&Buffer; 3]) {
+        let [by_turn, by_geometry] = gradients;
+        let Self { step, views, partial, .. } = &*self;
+        let [first, second] = &views.moments;
+        let buffers = [view, step, &views.values, first, second, by_turn, by_geometry, partial, status, visible];
         self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
@@ -162,5 +161,63 @@ impl Poses {
     /// Replaces everything by a state of as many views.
     pub(crate) fn write(&mut self, gpu: &Gpu, state: &PoseState) {
         self.views.write(gpu, state);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        render::{
+            gpu::{
+                status::status_buffer,
+                view::{VIEW_WORDS, View},
+            },
+            testing,
+        },
+        scene::OrderMode,
+    };
+
+    /// More than there are threads, a third of which the view does not see, and that pull harder the later they come.
+    #[test]
+    fn all_of_many_splats_pull() {
+        const N: usize = 70_000;
+        const { assert!(N > 256 * PARTS) };
+        let (scene, camera) = testing::smooth_scene(1, 1, OrderMode::Stable);
+        let view = View { n_splats: N as u32, ..View::of(&camera, scene.composition) };
+        let is_seen = |i: usize| !i.is_multiple_of(3);
+        let pull = |i: usize, axis: usize| (1 + axis) as f32 * (1.0 + (i % 7) as f32 + i as f32 / 1e4) * 1e-6;
+        let by_turn: Vec<[f32; 4]> = (0..N).map(|i| [pull(i, 0), pull(i, 1), pull(i, 2), 0.0]).collect();
+        let by_geometry: Vec<[[f32; 4]; 3]> =
+            (0..N).map(|i| [[pull(i, 2), pull(i, 1), pull(i, 0), 9.0], [9.0; 4], [9.0; 4]]).collect();
+        let visible: Vec<u32> = (0..N).map(|i| u32::from(is_seen(i))).collect();
+
+        let gpu = Gpu::open(None).unwrap();
+        let uniform = gpu.uniform("view", VIEW_WORDS).unwrap();
+        gpu.write(&uniform, 0, &view.words());
+        let gradients = [
+            gpu.storage_with("rotation gradients", &by_turn).unwrap(),
+            gpu.storage_with("geometry gradient", &by_geometry).unwrap(),
+        ];
+        let visible = gpu.storage_with("visible splats", &visible).unwrap();
+        let mut poses = Poses::new(&gpu, &PoseState::new(1)).unwrap();
+        poses.bind_gradients(&gpu, gradients.each_ref(), [&uniform, &visible, &status_buffer(&gpu).unwrap()]);
+        let mut frame = Frame::new(&gpu);
+        poses.record_correction(&gpu, &mut frame, &PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 });
+        poses.record_update(&mut frame);
+        frame.submit();
+
+        let [first, _] = poses.read(&gpu).unwrap().moments;
+        let seen = || (0..N).filter(|i| is_seen(*i));
+        for axis in 0..3 {
+            let turn: f64 = seen().map(|i| f64::from(by_turn[i][axis])).sum();
+            // As much as the means, turned round.
+            let shift: f64 = seen().map(|i| -f64::from(by_geometry[i][0][axis])).sum();
+            for (i, expected) in [(axis, turn), (4 + axis, shift)] {
+                // Adam's first moment of the first step is a tenth of the gradient.
+                let found = 10.0 * f64::from(first[i]);
+                assert!((found / expected - 1.0).abs() < 1e-5, "{i}: {found}, not {expected}");
+            }
+        }
     }
 }

@@ -15,8 +15,9 @@ use super::view;
 use crate::render::contract;
 
 macro_rules! embed {
-    ($($name:literal),* $(,)?) => {
-        const FILES: &[(&str, &str)] = &[$(($name, include_str!(concat!("../../../shaders/", $name)))),*];
+    ($($(#[$when:meta])* $name:literal),* $(,)?) => {
+        const FILES: &[(&str, &str)] =
+            &[$($(#[$when])* ($name, include_str!(concat!("../../../shaders/", $name)))),*];
     };
 }
 
@@ -73,6 +74,7 @@ embed![
     "shared/sh_coefficients.wgsl",
     "shared/sh_gradient.wgsl",
     "shared/splats_at_pixels.wgsl",
+    "shared/spread.wgsl",
     "shared/status.wgsl",
     "shared/sum_rows.wgsl",
     "shared/tile_bucket.wgsl",
@@ -81,6 +83,8 @@ embed![
     "shared/workgroup_scan.wgsl",
     "splat_backward.wgsl",
     "sum_moments.wgsl",
+    #[cfg(test)]
+    "tests/spread.wgsl",
     "texel_backward.wgsl",
     "texel_backward_serial.wgsl",
     "tile_ranges.wgsl",
@@ -274,7 +278,8 @@ mod tests {
     fn every_shader_is_embedded() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
         let mut files = vec![];
-        for (folder, prefix) in [(folder.clone(), ""), (folder.join("shared"), "shared/")] {
+        for prefix in ["", "shared/", "tests/"] {
+            let folder = folder.join(prefix);
             let names = folder.read_dir().unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
             files.extend(names.filter(|name| name.ends_with(".wgsl")).map(|name| format!("{prefix}{name}")));
         }

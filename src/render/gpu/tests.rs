@@ -33,15 +33,17 @@ fn gpu_frame(
     camera: &Camera,
     cotangent: Option<&Image>,
 ) -> (Image, Option<Parameters>) {
-    let (image, gradients, _) = smoothed_frame(gpu, scene, camera, &[], cotangent.map(|c| (c, None)));
+    let (image, gradients, _) = special_frame(gpu, scene, camera, sh::MAX_DEGREE, &[], cotangent.map(|c| (c, None)));
     (image, gradients)
 }
 
-/// The same of splats that are smoothed, by `deviations` or not at all, with the slopes of the loss by pixels' disparities beside their cotangents, and the statistics of density control `[N]`.
-fn smoothed_frame(
+/// The same of splats that show bands up to `active` only, and are smoothed, by `deviations` or not at all, with the slopes of the loss by pixels'
+/// disparities beside their cotangents, and the statistics of density control `[N]`.
+fn special_frame(
     gpu: &Gpu,
     scene: &HybridScene,
     camera: &Camera,
+    active: u32,
     deviations: &[f64],
     cotangent: Option<(&Image, Option<&[f64]>)>,
 ) -> (Image, Option<Parameters>, Vec<[f32; 4]>) {
@@ -55,7 +57,8 @@ fn smoothed_frame(
     }
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
-        let (view, _) = pipeline.prepare(gpu, camera).unwrap();
+        let (mut view, _) = pipeline.prepare(gpu, camera).unwrap();
+        view.sh_degree = view.sh_degree.min(active);
         if let (Some((c, slopes)), Some(b)) = (cotangent, &backward) {
             let slope = |pixel| slopes.map_or(0.0, |slopes| slopes[pixel]);
             let words = c.rgb.iter().enumerate().flat_map(|(i, &[r, g, b])| [r, g, b, slope(i)].map(|v| v as f32));
@@ -121,20 +124,46 @@ const TOLERANCE: Margin = Margin { alpha: 1e-4, order: 1e-5, edge: 1e-4, stop: 1
 
 /// Of a colour, half of what a splat at the cut adds: one that is missed or blended twice shows.
 const MOST: f64 = 2e-3;
-/// Of the mean, some fifty times what is found with lavapipe; an order or a filter that differs adds ten times as much.
-const MEAN: f64 = 1e-4;
+/// Of the mean, some ten times what is found with lavapipe; an order or a filter that differs adds fifty times as much.
+const MEAN: f64 = 2e-5;
+/// No colour of the scenes here is brighter.
+const BRIGHTEST: f64 = 2.0;
+/// Of a pixel whose alphas are close to the cut, weights that come or go: two splats.
+const CUT_WEIGHT: f64 = 2.0 / 255.0;
+/// The same where the stop is close: alphas are capped at 0.99, so that no more than this is left where one takes the transmittance below 1e-4.
+const STOP_WEIGHT: f64 = 1e-2;
 /// Of the gradient of a class of parameters: found are some 1e-6, and 1e-5 is what WGSL grants `exp` and `inverseSqrt` of an adapter; a
 /// term that is left out is worth per cents.
-const GRADIENT: f64 = 1e-3;
+const GRADIENT: f64 = 1e-4;
+/// The same of needles, in whose gradients digits cancel.
+const NEEDLE_GRADIENT: f64 = 1e-3;
+/// The same of vertices, and of texels beside a face that pulls twenty times as hard: sums in fixed point.
+const FIXED_GRADIENT: f64 = 1e-3;
+/// Of each number of a gradient: of itself, and of the largest of its class, as terms that cancel in one may be as large as that.
+const OF_ITSELF: f64 = 1e-3;
+const OF_LARGEST: f64 = 1e-5;
+/// The same of texels, whose sums are in fixed point: a third of it is found.
+const OF_LARGEST_TEXEL: f64 = 3e-4;
 
 /// Of a scene's pixels, a fifth: found is a sixth where 5,000 splats lie among meshes, and which they are the reference alone says.
 const EXCUSED: usize = 5;
+/// Of the excused pixels of all scenes, a fifth at most: that f32 decides otherwise where a decision is close is rare.
+const DECIDED_OTHERWISE: usize = 5;
 
-/// Pixels that a decision is close in, and those of each kind of decision; a pixel may be of several.
+/// Pixels that a decision is close in, those of them that differ, and those of each kind of decision; a pixel may be of several.
 #[derive(Default)]
 struct Excused {
     pixels: usize,
+    differing: usize,
     by_kind: [usize; 4],
+}
+
+/// By how much a pixel may differ in which decisions of these kinds are close: by weights that come or go, or by anything that its list can show in
+/// another order, or without one of its layers.
+fn excused_difference([alpha, order, edge, stop]: [bool; 4]) -> f64 {
+    let of = |close: bool, weight: f64| if close { weight } else { 0.0 };
+    let weight = if order || edge { 1.0 } else { of(alpha, CUT_WEIGHT) + of(stop, STOP_WEIGHT) };
+    BRIGHTEST * weight + MOST
 }
 
 /// Mean and largest difference over pixels that no decision is close in, and the others, which are few.
@@ -142,20 +171,22 @@ fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, Ex
     let (expected, margins) = reference::render_with_margins(scene, camera);
     let (mut sum, mut most, mut excused) = (0.0, 0.0_f64, Excused::default());
     for (i, margin) in margins.iter().enumerate() {
+        let (found, expected) = (found.rgb[i], expected.rgb[i]);
+        let differences = [0, 1, 2].map(|c| (found[c] - expected[c]).abs());
+        let worst = testing::largest(differences);
         if margin.is_within(&TOLERANCE) {
-            assert!(found.rgb[i].iter().all(|c| c.is_finite()), "pixel {i}");
+            let close = margin.within(&TOLERANCE);
+            assert!(worst <= excused_difference(close), "pixel {i}, {close:?}: {found:?}, not {expected:?}");
             excused.pixels += 1;
-            for (count, within) in excused.by_kind.iter_mut().zip(margin.within(&TOLERANCE)) {
+            excused.differing += usize::from(worst > MOST);
+            for (count, within) in excused.by_kind.iter_mut().zip(close) {
                 *count += usize::from(within);
             }
             continue;
         }
-        for c in 0..3 {
-            let difference = (found.rgb[i][c] - expected.rgb[i][c]).abs();
-            assert!(difference.is_finite());
-            sum += difference;
-            most = most.max(difference);
-        }
+        assert!(worst.is_finite(), "pixel {i}");
+        sum += differences.iter().sum::<f64>();
+        most = most.max(worst);
     }
     assert!(EXCUSED * excused.pixels < margins.len(), "{} of {} are excused", excused.pixels, margins.len());
     (sum / (3 * (margins.len() - excused.pixels)) as f64, most, excused)
@@ -197,18 +228,26 @@ fn images_equal_the_reference() {
         worst = [worst[0].max(mean), worst[1].max(most)];
         pixels += found.rgb.len();
         all.pixels += excused.pixels;
+        all.differing += excused.differing;
         all.by_kind.iter_mut().zip(excused.by_kind).for_each(|(sum, count)| *sum += count);
     }
     eprintln!(
-        "54 scenes: mean at most {:.1e}, max {:.1e}; {} of {pixels} pixels are threshold pixels, by {:?} {:?}",
+        "54 scenes: mean at most {:.1e}, max {:.1e}; {} of {pixels} pixels are threshold pixels, {} of which differ, by {:?} {:?}",
         worst[0],
         worst[1],
         all.pixels,
+        all.differing,
         Margin::KINDS,
         all.by_kind
     );
     // Twice as many as there are.
     assert!(all.pixels * 35 < pixels, "{} of {pixels} pixels are threshold pixels", all.pixels);
+    assert!(
+        DECIDED_OTHERWISE * all.differing < all.pixels,
+        "{} of {} threshold pixels differ",
+        all.differing,
+        all.pixels
+    );
 }
 
 /// The paper's figure, as the reference has it (`two_rays_disagree_in_direct_order_only`), as f32.
@@ -334,7 +373,7 @@ fn needles_are_those_of_the_reference_far_from_their_centres() {
         let errors = class_errors(&gradient.unwrap(), &reference::backward(&scene, &camera, &cotangent));
         eprintln!("{deviation} px: mean {mean:.1e}, max {most:.1e}, {errors:?}");
         assert!(mean < MEAN && most < MOST, "{deviation} px: mean {mean:e}, max {most:e}");
-        assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "{deviation} px: {errors:?}");
+        assert!(errors.iter().all(|(_, error)| *error < NEEDLE_GRADIENT), "{deviation} px: {errors:?}");
     }
 }
 
@@ -348,26 +387,75 @@ fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64
     (difference / norm.max(1e-30)).sqrt()
 }
 
-/// Relative errors of all parameter classes that the scene has.
-fn class_errors(found: &Parameters, expected: &Parameters) -> Vec<(&'static str, f64)> {
-    let texels = |t: &[Vec<f64>]| t.iter().flatten().copied().collect::<Vec<_>>();
+/// Numbers of one kind, of one mesh where they are texels.
+struct Class {
+    name: String,
+    found: Vec<f64>,
+    expected: Vec<f64>,
+}
+
+impl Class {
+    fn error(&self) -> f64 {
+        relative(self.found.iter().copied(), self.expected.iter().copied())
+    }
+
+    /// What the whole class may be off, relative to its norm, and one number of it, relative to the largest. Texels are summed in fixed
+    /// point, of which all meshes share one unit: of the mesh that pulls least, fewer digits are left.
+    fn allowed(&self) -> (f64, f64) {
+        if self.name.contains("of mesh") { (FIXED_GRADIENT, OF_LARGEST_TEXEL) } else { (GRADIENT, OF_LARGEST) }
+    }
+
+    /// Largest difference of a number, of what it may be: 1 is all of it.
+    fn worst(&self) -> f64 {
+        let largest = testing::largest(self.expected.iter().map(|e| e.abs()));
+        let (_, of_largest) = self.allowed();
+        let allowed = |e: f64| (OF_ITSELF * e.abs() + of_largest * largest).max(1e-30);
+        testing::largest(self.found.iter().zip(&self.expected).map(|(f, e)| (f - e).abs() / allowed(*e)))
+    }
+}
+
+/// All parameter classes that the scene has.
+fn classes(found: &Parameters, expected: &Parameters) -> Vec<Class> {
     let flat = |v: &[DVec3]| v.iter().flat_map(DVec3::to_array).collect::<Vec<_>>();
-    let classes = |p: &Parameters| {
-        [
-            ("means", flat(&p.means)),
-            ("log-scales", flat(&p.log_scales)),
-            ("rotations", p.rotations.iter().flatten().copied().collect()),
-            ("opacity logits", p.opacity_logits.clone()),
-            ("SH", flat(&p.sh)),
-            ("base texels", texels(&p.base)),
-            ("band texels", texels(&p.bands)),
-        ]
+    let named = |p: &Parameters| {
+        let mut named = vec![
+            ("means".to_owned(), flat(&p.means)),
+            ("log-scales".to_owned(), flat(&p.log_scales)),
+            ("rotations".to_owned(), p.rotations.iter().flatten().copied().collect()),
+            ("opacity logits".to_owned(), p.opacity_logits.clone()),
+            ("SH".to_owned(), flat(&p.sh)),
+        ];
+        for (m, (base, bands)) in p.base.iter().zip(&p.bands).enumerate() {
+            let channels = |are_logits: bool| {
+                let texels = base.iter().enumerate().filter(|(i, _)| (i % 4 == 3) == are_logits);
+                texels.map(|(_, g)| *g).collect::<Vec<_>>()
+            };
+            named.push((format!("base colours of mesh {m}"), channels(false)));
+            named.push((format!("opacity logits of mesh {m}"), channels(true)));
+            named.push((format!("bands of mesh {m}"), bands.clone()));
+        }
+        named
     };
-    let pairs = classes(found).into_iter().zip(classes(expected));
-    pairs
-        .filter(|(_, (_, expected))| !expected.is_empty())
-        .map(|((name, f), (_, e))| (name, relative(f.into_iter(), e.into_iter())))
-        .collect()
+    let pairs = named(found).into_iter().zip(named(expected));
+    let class = |((name, found), (_, expected))| Class { name, found, expected };
+    pairs.map(class).filter(|class| !class.expected.is_empty()).collect()
+}
+
+/// Relative errors of all parameter classes that the scene has.
+fn class_errors(found: &Parameters, expected: &Parameters) -> Vec<(String, f64)> {
+    classes(found, expected).into_iter().map(|class| (class.name.clone(), class.error())).collect()
+}
+
+/// Every class as a whole, and every number of it.
+fn check_gradients(found: &Parameters, expected: &Parameters, case: &str) {
+    let classes = classes(found, expected);
+    assert!(classes.len() >= 5, "{case}");
+    for class in classes {
+        let (name, error, worst) = (&class.name, class.error(), class.worst());
+        eprintln!("{case}, {name}: relative error {error:.1e}, worst number {worst:.1e} of what it may be off");
+        assert!(error < class.allowed().0, "{case}, {name}: relative error {error:e}");
+        assert!(worst < 1.0, "{case}, {name}: a number is off by {worst} times what it may be");
+    }
 }
 
 fn random_cotangent(camera: &Camera, seed: u64) -> Image {
@@ -406,7 +494,7 @@ fn gradients_equal_the_reference() {
     let without = Gpu::with_subgroups(false);
     let others = [
         (Gpu::open(None).unwrap().posing_as_gpu(), 2),
-        (without.posing_as_gpu(), 1),
+        (without.posing_as_gpu(), 3),
         (Gpu::open(None).unwrap().narrowed(7), 2),
     ];
     for (gpu, seeds) in restricted.into_iter().chain(others) {
@@ -427,16 +515,45 @@ fn gradients_equal_the_reference() {
             let slopes: Vec<f64> = (0..camera.intrinsics().pixels()).map(|pixel| (pixel % 4) as f64).collect();
             let (expected, of_splats) =
                 reference::backward_parameters(&scene, &camera, &Parameters::of(&scene), &cotangent, Some(&slopes));
-            let (_, found, statistics) = smoothed_frame(&gpu, &scene, &camera, &[], Some((&cotangent, Some(&slopes))));
+            let cotangents = Some((&cotangent, Some(&slopes[..])));
+            let (_, found, statistics) = special_frame(&gpu, &scene, &camera, sh::MAX_DEGREE, &[], cotangents);
             check_statistics(&statistics, &of_splats, &camera);
-            let found = found.unwrap();
-            let errors = class_errors(&found, &expected);
-            eprintln!("{:?}, scene {seed}: {errors:?}", gpu.profile());
-            assert!(errors.len() >= 5);
-            for (name, error) in errors {
-                assert!(error < GRADIENT, "scene {seed}, {name}: relative error {error:e}");
-            }
+            check_gradients(&found.unwrap(), &expected, &format!("{:?}, scene {seed}", gpu.profile()));
         }
+    }
+}
+
+/// Bands of splats that are stored, and not active yet, are neither seen nor learnt; of any degree that is stored.
+#[test]
+fn bands_that_are_not_active_are_as_if_they_were_not_there() {
+    let gpu = Gpu::open(None).unwrap();
+    let (mut scene, camera) = testing::smooth_scene(3, 1, OrderMode::Stable);
+    scene.meshes.clear();
+    let cotangent = random_cotangent(&camera, 3);
+    let of_degree = |degree: u32| {
+        let splats = scene.splats.clone().into_arrays().with_sh_degree(degree).check().unwrap();
+        HybridScene { splats, ..scene.clone() }
+    };
+    for (stored, active) in (1..=sh::MAX_DEGREE).flat_map(|stored| (0..=stored).map(move |active| (stored, active))) {
+        let case = format!("degree {active} of {stored}");
+        let cotangents = Some((&cotangent, None));
+        let (image, found, _) = special_frame(&gpu, &of_degree(stored), &camera, active, &[], cotangents);
+        let (fewer, found) = (of_degree(active), found.unwrap());
+        let expected = reference::render(&fewer, &camera);
+        let pairs = image.rgb.iter().flatten().zip(expected.rgb.iter().flatten());
+        let most = testing::largest(pairs.map(|(a, b)| (a - b).abs()));
+        // A few wide splats: rounding alone.
+        assert!(most < 1e-5, "{case}: {most:e}");
+
+        let [terms, learnt] = [stored, active].map(sh::coefficients);
+        let (mut of_active, mut beyond) = (vec![], vec![]);
+        for row in found.sh.chunks_exact(terms) {
+            of_active.extend_from_slice(&row[..learnt]);
+            beyond.extend_from_slice(&row[learnt..]);
+        }
+        assert!(beyond.iter().all(|g| *g == DVec3::ZERO), "{case}");
+        let found = Parameters { sh: of_active, ..found };
+        check_gradients(&found, &reference::backward(&fewer, &camera, &cotangent), &case);
     }
 }
 
@@ -474,7 +591,7 @@ fn a_face_at_one_place_of_the_map_leaves_others_their_gradients() {
         let found = of_wall(&gpu_frame(&gpu, &scene, &camera, Some(&cotangent)).1.unwrap());
         let error = relative(found.into_iter(), expected.iter().copied());
         eprintln!("{:?}: {error:.1e}", gpu.profile());
-        assert!(error < GRADIENT, "{:?}: relative error {error:e}", gpu.profile());
+        assert!(error < FIXED_GRADIENT, "{:?}: relative error {error:e}", gpu.profile());
     }
 }
 
@@ -550,15 +667,15 @@ fn filters_equal_the_reference() {
         parameters.smoothing.clone_from(&deviations);
         let cotangent = random_cotangent(&camera, 3);
         let expected = reference::backward_parameters(&scene, &camera, &parameters, &cotangent, None).0;
-        let (image, found, _) = smoothed_frame(&gpu, &scene, &camera, &deviations, Some((&cotangent, None)));
+        let cotangents = Some((&cotangent, None));
+        let (image, found, _) = special_frame(&gpu, &scene, &camera, sh::MAX_DEGREE, &deviations, cotangents);
         let reference = reference::render_parameters(&scene, &camera, &parameters);
         let pairs = image.rgb.iter().flatten().zip(reference.rgb.iter().flatten());
         let most = testing::largest(pairs.map(|(a, b)| (a - b).abs()));
-        let errors = class_errors(&found.unwrap(), &expected);
-        eprintln!("{variance} px², {deviation}: image {most:.1e}, {errors:?}");
+        eprintln!("{variance} px², {deviation}: image {most:.1e}");
         // A few wide splats: rounding alone.
         assert!(most < 1e-5, "{variance} px², {deviation}: {most:e}");
-        assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "{variance} px², {deviation}: {errors:?}");
+        check_gradients(&found.unwrap(), &expected, &format!("{variance} px², {deviation}"));
     }
     // Needles of hundreds of pixels along no axis of the picture: what is left of their gradients when digits cancel.
     for long in [2.0, 4.0, 5.0] {
@@ -572,7 +689,7 @@ fn filters_equal_the_reference() {
         let found = gpu_frame(&gpu, &scene, &camera, Some(&cotangent)).1.unwrap();
         let errors = class_errors(&found, &expected);
         eprintln!("needles e^{long} times as long: {errors:?}");
-        assert!(errors.iter().all(|(_, error)| *error < GRADIENT), "e^{long}: {errors:?}");
+        assert!(errors.iter().all(|(_, error)| *error < NEEDLE_GRADIENT), "e^{long}: {errors:?}");
     }
     // Splats from far below a pixel to many, and needles, some with a deviation of some thousand pixels.
     for seed in 0..8 {
@@ -617,7 +734,7 @@ fn vertex_gradients_equal_the_reference() {
             let expected = expected.iter().flatten().zip(normals).map(|(g, n)| g.dot(n));
             let error = relative(found.into_iter().map(f64::from), expected);
             eprintln!("subgroups {subgroups}, scene {seed}: {error:.1e}");
-            assert!(error < GRADIENT, "scene {seed}: relative error {error:e}");
+            assert!(error < FIXED_GRADIENT, "scene {seed}: relative error {error:e}");
         }
     }
 }

@@ -29,7 +29,7 @@ pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
 }
 
 /// What a step of Adam needs besides the gradients.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TexelStep {
     /// Number of this step, from 1.
     pub(crate) number: u32,
@@ -393,3 +393,6 @@ impl Texels {
         true
     }
 }
+
+#[cfg(test)]
+mod tests;

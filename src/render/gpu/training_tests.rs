@@ -5,6 +5,7 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
+    exposure::{ExposureState, ExposureStep},
     loss::TruthAlpha,
     pose::{PoseState, PoseStep},
     rows::Source,
@@ -61,8 +62,10 @@ fn step(training: &mut Training, camera: &Camera) {
 fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
     let truth = vec![200; 4 * camera.intrinsics().pixels()];
     let usual = usual(training, camera, &truth);
+    let vertices = Some(VertexStep { number: 1, rate: 0.1 });
+    let exposure = Some(ExposureStep { view: 0, rate: 1e-3 });
     let pose = Some(PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 });
-    training.step(&Step { dropout, vertices: Some(VertexStep { number: 1, rate: 0.1 }), pose, ..usual }).unwrap();
+    training.step(&Step { dropout, vertices, exposure, pose, ..usual }).unwrap();
 }
 
 /// The first step of splats and texels towards the truth.
@@ -154,13 +157,18 @@ fn a_step_learns_of_nearness_as_its_weight_says() {
     }
 }
 
-type Learnt = (SplatState, Vec<f32>, Vec<Mesh>, (Vec<f32>, Vec<f32>), (Vec<f32>, [Vec<f32>; 2]));
+/// Values and moments of what each view has of its own.
+type OfViews = (Vec<f32>, [Vec<f32>; 2]);
+type Learnt = (SplatState, Vec<f32>, Vec<Mesh>, (Vec<f32>, Vec<f32>), OfViews, Option<OfViews>, VertexState);
 
 /// Everything that a step changes, of a scene with these meshes.
 fn learnt(training: &Training, meshes: &[Mesh]) -> Learnt {
     let read = (training.read_splats(), training.read_statistics(), training.read_meshes(meshes));
     let PoseState { values, moments, .. } = training.read_poses().unwrap().unwrap();
-    (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), training.read_texel_moments().unwrap(), (values, moments))
+    let exposures = training.read_exposures().unwrap().map(|exposures| (exposures.values, exposures.moments));
+    let (poses, texels) = ((values, moments), training.read_texel_moments().unwrap());
+    let vertices = training.read_vertex_state().unwrap();
+    (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), texels, poses, exposures, vertices)
 }
 
 /// Nothing is learnt from an image that lacks what did not fit its lists: four splats in 256 tiles each, where there is
@@ -169,11 +177,17 @@ fn learnt(training: &Training, meshes: &[Mesh]) -> Learnt {
 fn a_step_with_lists_too_short_changes_nothing() {
     let open = || Gpu::open(None).unwrap();
     for (gpu, n, triangles) in [(open(), 4, 1), (open(), 1, 40), (open().posing_as_gpu(), 4, 1)] {
-        let scene = scene(n, triangles);
+        let mut scene = scene(n, triangles);
+        // Vertices are pulled where colours change along the map.
+        let texels = (0..4 * 16 * 16).map(|i| 0.3 * (i as f32).sin()).collect();
+        let atlas = Atlas::new(Texture::new(16, 16, 4, texels).unwrap(), None).unwrap();
+        scene.meshes[0] = scene.meshes[0].clone().with_atlas(atlas);
         // From far away everything is small.
         let (near, far) = (camera(3.0), camera(1e5));
         let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
         training.refine_poses(&PoseState::new(1)).unwrap();
+        training.expose(&ExposureState::new(1)).unwrap();
+        training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 1e-3)).unwrap();
         let before = learnt(&training, &scene.meshes);
         step(&mut training, &near);
         step(&mut training, &near);
@@ -187,8 +201,9 @@ fn a_step_with_lists_too_short_changes_nothing() {
         step(&mut training, &near);
         let after = learnt(&training, &scene.meshes);
         assert!(after.0.geometry != before.0.geometry && after.1 != before.1 && after.2 != before.2);
-        assert!(after.4 != before.4);
+        assert!(after.4 != before.4 && after.5 != before.5 && after.6 != before.6);
         assert_eq!(training.read_poses().unwrap().unwrap().steps, [1], "what was not learnt from does not count");
+        assert_eq!(training.read_exposures().unwrap().unwrap().steps, [1]);
         assert_eq!(training.status().unwrap().skipped, 0);
     }
 }
@@ -349,7 +364,7 @@ fn steps_are_the_same_in_every_run() {
             }
             let learnt = learnt(&training, &scene.meshes);
             assert!(learnt.2[0].positions() != scene.meshes[0].positions());
-            (learnt, training.read_vertex_state().unwrap())
+            learnt
         };
         let (first, second) = (run(), run());
         assert!(first == second, "{:?}", gpu.profile());

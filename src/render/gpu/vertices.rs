@@ -21,7 +21,7 @@ use crate::scene::Mesh;
 const DIFFUSIONS: usize = 8;
 
 /// What a step needs besides the gradients.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VertexStep {
     /// Number of this step, from 1.
     pub(crate) number: u32,
@@ -176,3 +176,6 @@ impl Vertices {
         Ok(VertexState { pixel: self.pixel, normals, moments: gpu.read(&self.moments, 2 * self.count)? })
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,6 +6,8 @@ use rayon::prelude::*;
 use super::{Fragment, Parameters, pixel_center};
 use crate::geometry::MeshBvh;
 use crate::render::contract;
+#[cfg(test)]
+use crate::scene::Atlas;
 use crate::scene::{Camera, HybridScene, Mesh, Texture, sh};
 
 /// Where a ray meets a mesh, and how the textures are filtered there. Independent of the texels' values.
@@ -100,7 +102,29 @@ impl Hit {
     }
 }
 
+#[cfg(test)]
+impl Hit {
+    /// Mip levels at which base and bands are sampled; 0 of bands that are not there.
+    pub(super) fn levels(&self, camera: &Camera, atlas: &Atlas) -> [f64; 2] {
+        let (_, duv) = self.intersection.footprint(camera, &self.uvs);
+        [Some(atlas.base()), atlas.bands()].map(|texture| texture.map_or(0.0, |texture| mip_level(texture, duv)))
+    }
+
+    /// Samples them at these levels, whatever the footprint.
+    pub(super) fn sample_at(&mut self, camera: &Camera, atlas: &Atlas, [base, bands]: [f64; 2]) {
+        let (uv, _) = self.intersection.footprint(camera, &self.uvs);
+        self.base = taps_at_level(atlas.base(), uv, base);
+        self.bands = atlas.bands().map_or_else(Vec::new, |texture| taps_at_level(texture, uv, bands));
+    }
+}
+
 impl Intersection {
+    /// The UV there, and how it changes per pixel in x and in y.
+    fn footprint(&self, camera: &Camera, uvs: &[DVec2; 3]) -> (DVec2, [DVec2; 2]) {
+        let interpolate = |b: &[f64; 3]| b[0] * uvs[0] + b[1] * uvs[1] + b[2] * uvs[2];
+        (interpolate(&self.barycentric), self.screen_derivative(camera).map(|d| interpolate(&d)))
+    }
+
     /// ∂barycentric/∂(pixel x), ∂barycentric/∂(pixel y).
     fn screen_derivative(&self, camera: &Camera) -> [[f64; 3]; 2] {
         let k = camera.intrinsics();
@@ -157,8 +181,7 @@ fn trace_pixel(
     let hit = |(x, mesh, triangle): (Intersection, usize, usize)| {
         let source = &scene.meshes[mesh];
         let uvs = source.corner_uvs()[triangle].map(Vec2::as_dvec2);
-        let interpolate = |b: &[f64; 3]| b[0] * uvs[0] + b[1] * uvs[1] + b[2] * uvs[2];
-        let (uv, duv) = (interpolate(&x.barycentric), x.screen_derivative(camera).map(|d| interpolate(&d)));
+        let (uv, duv) = x.footprint(camera, &uvs);
         Hit {
             mesh,
             triangle,
@@ -178,13 +201,22 @@ fn trace_pixel(
 
 /// The texels under a pixel whose UV is `uv` and whose UV changes by `duv` per pixel in x and in y.
 fn trilinear_taps(texture: &Texture, uv: DVec2, duv: [DVec2; 2]) -> Vec<Tap> {
+    taps_at_level(texture, uv, mip_level(texture, duv))
+}
+
+/// The mip level of a pixel in which UV changes by `duv` per pixel in x and in y; what is between two of them is mixed.
+fn mip_level(texture: &Texture, duv: [DVec2; 2]) -> f64 {
     let size = DVec2::new(f64::from(texture.width()), f64::from(texture.height()));
     // The longer axis of the pixel's footprint in texels: the larger singular value of the Jacobian.
     let [dx, dy] = duv.map(|d| d * size);
     let (a, b, c) = (dx.dot(dx), dy.dot(dy), dx.dot(dy));
     let axis_squared = 0.5 * (a + b) + (0.25 * (a - b) * (a - b) + c * c).sqrt();
+    (0.5 * axis_squared.log2()).clamp(0.0, f64::from(texture.mip_levels() - 1))
+}
+
+/// The texels around `uv` of the two mip levels next to `level`.
+fn taps_at_level(texture: &Texture, uv: DVec2, level: f64) -> Vec<Tap> {
     let coarsest = f64::from(texture.mip_levels() - 1);
-    let level = (0.5 * axis_squared.log2()).clamp(0.0, coarsest);
     let fine = level.floor();
     let coarse = (fine + 1.0).min(coarsest);
     let blend = level - fine;

@@ -8,13 +8,22 @@ pub(crate) struct Frame<'a> {
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
     timer: Option<&'a mut Timer>,
+    #[cfg(test)]
+    dispatches: usize,
 }
 
 impl<'a> Frame<'a> {
     /// Starts recording.
     pub(crate) fn new(gpu: &'a Gpu) -> Self {
         let encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        Self { gpu, encoder, pass: None, timer: None }
+        Self {
+            gpu,
+            encoder,
+            pass: None,
+            timer: None,
+            #[cfg(test)]
+            dispatches: 0,
+        }
     }
 
     /// Starts recording with a timestamp around every dispatch.
@@ -23,8 +32,18 @@ impl<'a> Frame<'a> {
         Self { timer: Some(timer), ..Self::new(gpu) }
     }
 
+    /// Dispatches so far.
+    #[cfg(test)]
+    pub(crate) fn dispatches(&self) -> usize {
+        self.dispatches
+    }
+
     /// A pass in which the stage is what is dispatched next.
     fn pass(&mut self, stage: &Stage) -> &mut wgpu::ComputePass<'static> {
+        #[cfg(test)]
+        {
+            self.dispatches += 1;
+        }
         let pass = self.open_pass(&stage.kernel.label);
         stage.encode(pass);
         pass

@@ -129,6 +129,7 @@ fn keep(wgsl: &str, file: &str, entry: &str) {
     let Some(folder) = std::env::var_os("CENTAUR_WGSL") else { return };
     let mut hasher = DefaultHasher::new();
     wgsl.hash(&mut hasher);
-    let name = format!("{}-{entry}-{:016x}.wgsl", file.trim_end_matches(".wgsl"), hasher.finish());
+    let stem = file.trim_end_matches(".wgsl").replace('/', "_");
+    let name = format!("{stem}-{entry}-{:016x}.wgsl", hasher.finish());
     std::fs::write(std::path::Path::new(&folder).join(name), wgsl).unwrap();
 }

@@ -179,6 +179,14 @@ impl Gpu {
         self
     }
 
+    /// The same adapter, with what there is for software adapters: storage for uniforms, few threads, loops that end, memory that is the host's.
+    #[cfg(test)]
+    pub(crate) fn posing_as_cpu(mut self) -> Self {
+        self.profile.is_cpu = true;
+        self.is_unified = true;
+        self
+    }
+
     /// The first error the driver reported outside a call that returns one. Lack of memory is told once: there may be enough later.
     ///
     /// # Errors

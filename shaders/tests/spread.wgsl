@@ -1,0 +1,39 @@
+// shared/spread.wgsl with LANES lanes, whatever the adapter has: one thread plays them in turn. What it is given as a lane, another has left
+// the time before: after as many times as exchanges follow on one another, and one, all have what they would have in step.
+//#import shared/spread.wgsl with EXCHANGE=exchange
+
+@group(0) @binding(0) var<storage, read> addends: array<f32>;           // [lane][splat, of two][MOMENTS]
+@group(0) @binding(1) var<storage, read_write> totals: array<vec4f>;    // [lane]: of `spread`; last of four is 0
+@group(0) @binding(2) var<storage, read_write> whose: array<vec4u>;     // [lane]: of `places`; last of four is 0
+
+const EXCHANGES: u32 = 32u;     // at most, of a call of `spread`
+const TIMES: u32 = 7u;
+
+var<workgroup> left: array<f32, EXCHANGES * LANES>;     // [exchange][lane]
+var<private> this_lane: u32;
+var<private> exchanges: u32;                            // of this call so far
+
+fn exchange(value: f32, apart: u32) -> f32 {
+    let first = exchanges * LANES;
+    exchanges += 1u;
+    left[first + this_lane] = value;
+    return left[first + (this_lane ^ apart)];
+}
+
+@compute @workgroup_size(1)
+fn main() {
+    for (var time = 0u; time < TIMES; time++) {
+        for (var lane = 0u; lane < LANES; lane++) {
+            this_lane = lane;
+            exchanges = 0u;
+            var a: array<f32, MOMENTS>;
+            var b: array<f32, MOMENTS>;
+            for (var c = 0u; c < MOMENTS; c++) {
+                a[c] = addends[2u * MOMENTS * lane + c];
+                b[c] = addends[2u * MOMENTS * lane + MOMENTS + c];
+            }
+            totals[lane] = vec4f(spread(a, b, lane, LANES), 0.0);
+            whose[lane] = vec4u(places(lane, LANES), 0u);
+        }
+    }
+}
