@@ -4,8 +4,9 @@
   python3 bench_ray.py [--address ADDRESS] [--gpus 1] [--cpus 2] DATASET -o OUT [options of centaur bench]
 
 All nodes must see DATASET and OUT under the same paths and have `centaur` (or what --program says). A task that is lost with its
-node is started again and goes on from its checkpoint; jobs that are done are not done again. On nodes of several GPUs a job has the one
-that Ray assigned to it.
+node is started again and goes on from its checkpoint; jobs that are done are not done again. Those that another runner is at, such as what
+a worker that was killed has left behind, are asked for again until they are done. On nodes of several GPUs a job has the one that Ray
+assigned to it.
 """
 
 import argparse
@@ -13,9 +14,13 @@ import os
 import shlex
 import subprocess
 import sys
+import time
 
 import assigned_adapter
 from assigned_adapter import adapter_of
+
+# Exit status of `centaur bench` where another runner is at the job.
+ELSEWHERE = 3
 
 
 def ask(program, options, **pipes):
@@ -59,10 +64,73 @@ def run(program, command, folder):
         where += f" ({adapter})"
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     try:
-        done = subprocess.run(command, env=environment, text=True, **pipes)
+        done = subprocess.run(command, env=environment, text=True, errors="replace", **pipes)
     except OSError as e:
         return 1, str(e), where
     return done.returncode, (done.stderr.strip().splitlines() or [""])[-1], where
+
+
+def ensure_resources(nodes, asked):
+    """Stops unless a node has what a job asks for, {resource: how much}, all at once: a job would wait for one for ever."""
+    has = [node["Resources"] for node in nodes if node["Alive"]]
+    if any(all(node.get(what, 0) >= much for what, much in asked.items()) for node in has):
+        return
+    words = [", ".join(f"{of.get(what, 0):g} {what}s" for what in asked) for of in (asked, *has)]
+    raise SystemExit(f"error: expected a node with {words[0]}, found {'; '.join(sorted(set(words[1:]))) or 'none'}: see --gpus and --cpus")
+
+
+def reason(error):
+    """Of an error of Ray's: the last line of what a task raised, the first of what became of a node or a worker."""
+    import ray
+
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return lines[-1 if isinstance(error, ray.exceptions.RayTaskError) else 0]
+
+
+def do_all(start, jobs, retry_after):
+    """Does the jobs by tasks that `start(job)` gives, and those that another runner is at again after so many seconds. Returns how many failed."""
+    import ray
+
+    running, waiting, said, failed, ended = {start(job): job for job in jobs}, [], set(), 0, 0
+    while running or waiting:
+        soon = max(0, waiting[0][0] - time.monotonic()) if waiting else None
+        if running:
+            ready, _ = ray.wait(list(running), num_returns=1, timeout=soon)
+        else:
+            time.sleep(soon)
+            ready = []
+        while waiting and waiting[0][0] <= time.monotonic():
+            _, job = waiting.pop(0)
+            running[start(job)] = job
+        for task in ready:
+            job = running.pop(task)
+            name = name_of(job)
+            try:
+                status, message, node = ray.get(task)
+            except ray.exceptions.RayError as e:  # the node or the task is gone for good
+                status, message, node = 1, reason(e), "unknown"
+            if status == ELSEWHERE:
+                waiting.append((time.monotonic() + retry_after, job))
+                if name not in said:
+                    print(f"{ended}/{len(jobs)}  {name} on node {node}: left to another runner; again every {retry_after:g} s", flush=True)
+                said.add(name)
+                continue
+            ended += 1
+            failed += status != 0
+            print(f"{ended}/{len(jobs)}  {name} on node {node}: {'ended' if status == 0 else message}", flush=True)
+    return failed
+
+
+def name_of(job):
+    """VARIANT/SCENE-SEED of a job's command."""
+    return job[job.index("--only") + 1]
+
+
+def seconds(text):
+    """Of --retry-after."""
+    if not 0 <= (value := float(text)) <= 86400:
+        raise ValueError
+    return value
 
 
 def main(arguments):
@@ -71,6 +139,9 @@ def main(arguments):
     parser.add_argument("--address", help="of the cluster (default: that of the environment, else this machine alone)")
     parser.add_argument("--gpus", type=float, default=1, help="of a job; parts share a GPU, 0 for none (default: 1)")
     parser.add_argument("--cpus", type=float, default=2, help="of a job (default: 2)")
+    parser.add_argument(
+        "--retry-after", type=seconds, default=45, metavar="SECONDS", help="when to ask again for jobs that another runner is at (default: 45)"
+    )
     args, options = parser.parse_known_args(arguments)
     try:
         program = shlex.split(args.program)
@@ -85,32 +156,17 @@ def main(arguments):
     jobs = open_jobs(program, options)
     try:
         ray.init(address=args.address, log_to_driver=False)
-        has = ray.cluster_resources()
-        for what, asked, flag in [("GPU", args.gpus, "--gpus"), ("CPU", args.cpus, "--cpus")]:
-            if asked > has.get(what, 0):
-                print(f"note: jobs wait for a node with {asked:g} {what}s, of which the cluster has {has.get(what, 0):g}: see {flag}", file=sys.stderr)
+        if jobs:
+            ensure_resources(ray.nodes(), {"GPU": args.gpus, "CPU": args.cpus})
         # Nodes need not have these files.
         for module in [sys.modules[__name__], assigned_adapter]:
             ray.cloudpickle.register_pickle_by_value(module)
         task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
-        names = {task.remote(program, job, os.getcwd()): job[job.index("--only") + 1] for job in jobs}
+        failed = do_all(lambda job: task.remote(program, job, os.getcwd()), jobs, args.retry_after)
     except (OSError, RuntimeError, ValueError) as e:  # an address of no cluster, parts of GPUs that are not to be had
         raise SystemExit(f"error: {(str(e).strip().splitlines() or [type(e).__name__])[0]}")
-    failed, pending = 0, list(names)
-    while pending:
-        (ready,), pending = ray.wait(pending, num_returns=1)
-        try:
-            status, message, node = ray.get(ready)
-        except ray.exceptions.RayError as e:  # the node or the task is gone for good
-            status, message, node = 1, str(e).strip().splitlines()[0], "unknown"
-        failed += status != 0
-        print(f"{len(jobs) - len(pending)}/{len(jobs)}  {names[ready]} on node {node}: {'ended' if status == 0 else message}", flush=True)
     if failed:
         raise SystemExit(f"{failed} of {len(jobs)} jobs failed")
-    # A job that another runner is at ends here at once, and well.
-    left = [job[job.index("--only") + 1] for job in open_jobs(program, options)]
-    if left:
-        raise SystemExit(f"{len(left)} of {len(jobs)} jobs are left to another runner, first {left[0]}: run again for the table of all")
     raise SystemExit(ask(program, with_option(options, "--table")).returncode)
 
 

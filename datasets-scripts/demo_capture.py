@@ -2,11 +2,12 @@
 
     python demo_capture.py ../demo              # render everything and check it
     python demo_capture.py ../demo --check      # only check what is there
+
+A run that was interrupted goes on where it stopped when it is started the same again; until its end the folder is no capture.
 """
 
 import argparse
 import sys
-import time
 from pathlib import Path
 
 try:
@@ -17,8 +18,9 @@ except ImportError as error:
     sys.exit(f"error: {error}; install it with: pip install -r {Path(__file__).with_name('requirements.txt')}")
 
 import demo_scene
+import rendering
 from colmap_model import Camera, centre_of, facing, read_model, write_model
-from mitsuba_capture import cast, ensure_outputs, ensure_views, load_scene, misalignment, pictures_of, render, sample, samples, save, seen
+from mitsuba_capture import cast, ensure_outputs, ensure_views, load_scene, misalignment, pictures_of, render, sample, samples, seen, take
 
 # Off-centre on purpose: a reader that assumes the middle of the picture is wrong by 6 and 4 pixels.
 CAMERA = Camera(224, 168, 288.0, (224 / 2 + 6.0, 168 / 2 - 4.0))
@@ -122,14 +124,10 @@ def main(arguments=None):
             Image.fromarray(picture_of(scene, i, arguments.spp)).save(folder / f"{i:03d}.png")
         return
     if not arguments.check:
-        (folder / "images").mkdir(parents=True, exist_ok=True)
-        start = time.time()
-        for i in range(VIEWS):
-            save(picture_of(scene, i, arguments.spp), folder, i)
-            print(f"view {i + 1}/{VIEWS}, {time.time() - start:.0f} s", flush=True)
+        take(lambda i: picture_of(scene, i, arguments.spp), folder, VIEWS, {"spp": arguments.spp})
         poses = [view_pose(i) for i in range(VIEWS)]
-        pictures = pictures_of(folder, VIEWS)
-        write_model(folder / "sparse/0", CAMERA, poses, *sparse_points(scene, poses, pictures, np.random.default_rng(3)))
+        points = sparse_points(scene, poses, pictures_of(folder, VIEWS), np.random.default_rng(3))
+        rendering.finish(folder, lambda model: write_model(model, CAMERA, poses, *points))
     check(scene, folder)
 
 

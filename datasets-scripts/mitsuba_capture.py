@@ -6,12 +6,15 @@ The variant scalar_rgb needs no LLVM. Everything is seeded; the same versions (r
 import argparse
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+import PIL
 from PIL import Image
 
+import rendering
 from colmap_model import centre_of, name_of
 from outputs import ensure_folder
 
@@ -117,8 +120,19 @@ def radiance(scene, camera, pose, spp, seed, near_far, hide_emitters, depth=5):
     return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed), dtype=float)
 
 
-def save(picture, folder, index):
-    Image.fromarray(picture).save(folder / "images" / name_of(index), quality=95, subsampling=0)
+def take(picture, folder, views, settings):
+    """Takes the pictures of `views` views by `picture(i)`; what an interrupted run of the same settings took stays."""
+    start = time.time()
+    versions = {module.__name__: module.__version__ for module in (mi, np, PIL)}
+
+    def save(i, path):
+        Image.fromarray(picture(i)).save(path, quality=95, subsampling=0)
+        print(f"view {i + 1}/{views}, {time.time() - start:.0f} s", flush=True)
+
+    try:
+        rendering.pictures(folder, [name_of(i) for i in range(views)], {**settings, **versions}, save)
+    except OSError as error:
+        sys.exit(f"error: {error}")
 
 
 def pictures_of(folder, views):

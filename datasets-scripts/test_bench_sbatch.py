@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 HERE = Path(__file__).resolve().parent
 JOBS = [f"default/scene{i}-0" for i in range(7)]
@@ -36,7 +37,7 @@ class Array(unittest.TestCase):
         shutil.copy(HERE / "bench.sbatch", self.folder / "slurm_script")
 
     def task(self, ids, i, gpu=None, submitted_from=HERE.parent):
-        ours = ["SLURM_", "CENTAUR_", "CUDA_", "ROCR_", "HIP_"]
+        ours = ["SLURM_", "CENTAUR_ADAPTER", "CENTAUR_PROGRAM", "CUDA_", "ROCR_", "HIP_"]
         environment = {name: value for name, value in os.environ.items() if not name.startswith(tuple(ours))}
         environment["PATH"] = f"{self.folder / 'bin'}:{environment['PATH']}"
         environment["SLURM_SUBMIT_DIR"] = str(submitted_from)
@@ -59,8 +60,10 @@ class Array(unittest.TestCase):
 
     def test_options_are_handed_on(self):
         said = self.said(range(4), 2)
-        self.assertEqual(said["words"], ["bench", "--shard", "2/4", "data set", "-o", "out", "--", "--no-mesh"])
+        self.assertEqual(said["words"], ["bench", "--shard", "2/4", "--wait", "1800", "data set", "-o", "out", "--", "--no-mesh"])
         self.assertIsNone(said["adapter"])
+        with mock.patch.dict(os.environ, CENTAUR_WAIT="5"):
+            self.assertEqual(self.said(range(4), 2)["words"][:5], ["bench", "--shard", "2/4", "--wait", "5"])
 
     def test_each_task_has_its_gpu(self):
         self.assertEqual([self.said(range(2), i, str(i))["adapter"] for i in range(2)], ["0000:41:00.0", "0000:c1:00.0"])
@@ -71,6 +74,7 @@ class Array(unittest.TestCase):
             done = subprocess.run(["bash", HERE / "bench.sbatch", word], env=environment, capture_output=True, text=True)
             self.assertEqual((done.returncode, done.stderr), (0, ""))
             self.assertIn("\n  sbatch --array=0-8 datasets-scripts/bench.sbatch DATASET -o OUT", done.stdout)
+            self.assertIn("\nWhere tasks have failed or their time was up, submit the same again", done.stdout)
             self.assertNotIn("#", done.stdout)
 
     def test_what_would_leave_jobs_undone_is_refused(self):

@@ -7,10 +7,15 @@ import http.server
 import io
 import json
 import re
+import shutil
+import socket
+import ssl
+import subprocess
 import sys
 import tempfile
 import threading
 import unittest
+import urllib.error
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
@@ -50,6 +55,8 @@ class Server(http.server.BaseHTTPRequestHandler):
     """Serves Server.content, or that of Server.contents by path, with ranges; stops after Server.cut bytes where that is set."""
 
     content, contents, etag, cut, requests, paths, refuses = b"", {}, '"one"', None, [], [], False
+    # When it was changed; whether If-Range is heeded; whether the length of a part is said.
+    modified, heeds, says_length = None, True, True
 
     def body(self):
         return type(self).contents.get(self.path, type(self).content)
@@ -64,7 +71,8 @@ class Server(http.server.BaseHTTPRequestHandler):
         asked = self.headers.get("Range")
         cls.requests.append(asked)
         cls.paths.append(self.path)
-        if asked and self.headers.get("If-Range") == cls.etag:
+        same = self.headers.get("If-Range") in (cls.etag, cls.modified, None)
+        if asked and (same or not cls.heeds):
             start = int(re.match(r"bytes=(\d+)-", asked)[1])
         if (start and start >= len(content)) or cls.refuses:
             self.send_response(416)
@@ -74,8 +82,11 @@ class Server(http.server.BaseHTTPRequestHandler):
         self.send_response(206 if start else 200)
         if start:
             self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
-        self.send_header("ETag", cls.etag)
-        self.send_header("Content-Length", str(len(content) - start))
+        for name, value in (("ETag", cls.etag), ("Last-Modified", cls.modified)):
+            if value:
+                self.send_header(name, value)
+        if not start or cls.says_length:
+            self.send_header("Content-Length", str(len(content) - start))
         self.end_headers()
         self.wfile.write(content[start : cls.cut])
 
@@ -89,11 +100,16 @@ class Fetch(unittest.TestCase):
         self.addCleanup(temporary.cleanup)
         self.folder = Path(temporary.name)
         self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server)
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
         self.addCleanup(self.server.server_close)
         self.addCleanup(self.server.shutdown)
         Server.content, Server.etag, Server.cut, Server.requests, Server.paths = archive(SCENE), '"one"', None, [], []
         Server.contents, Server.refuses = {}, False
+        Server.modified, Server.heeds, Server.says_length = None, True, True
+        for name, value in (("ATTEMPTS", 1), ("PAUSE", 0)):
+            patch = mock.patch.object(fetch_captures, name, value)
+            patch.start()
+            self.addCleanup(patch.stop)
 
     def fetch(self, name="tandt_db", scenes=None):
         printed = io.StringIO()
@@ -125,6 +141,150 @@ class Fetch(unittest.TestCase):
         self.fetch()
         self.assertEqual((self.folder / "tandt_db/tandt/truck/images/000001.jpg").read_bytes(), SCENE[1][1][::-1])
 
+    def other_version(self):
+        Server.content, Server.etag, Server.cut = archive([(n, c[::-1]) for n, c in SCENE]), '"two"', None
+        return SCENE[1][1][::-1]
+
+    def picture(self):
+        return (self.folder / "tandt_db/tandt/truck/images/000001.jpg").read_bytes()
+
+    def test_a_part_of_another_version_is_not_spliced_where_a_server_does_not_heed_if_range(self):
+        Server.cut = 60_000
+        self.refused("run again to resume")
+        picture, Server.heeds = self.other_version(), False
+        self.fetch()
+        self.assertEqual((self.picture(), Server.requests), (picture, [None, "bytes=60000-", None]))
+
+    def test_a_rest_without_a_length_is_not_taken_for_whole(self):
+        Server.cut = 60_000
+        self.refused("run again to resume")
+        Server.says_length, Server.cut = False, 80_000
+        self.refused(f"connection ended at 80000 of {len(Server.content)} bytes; run again to resume")
+        self.assertEqual((self.folder / "archives/tandt_db.zip.part").stat().st_size, 80_000)
+        Server.cut = None
+        self.fetch()
+        self.assertEqual(Server.requests, [None, "bytes=60000-", "bytes=80000-"])
+
+    def test_goes_on_by_the_date_where_there_is_no_strong_etag(self):
+        Server.etag, Server.modified, Server.cut = 'W/"one"', "Mon, 01 Jan 2024 00:00:00 GMT", 60_000
+        self.refused("run again to resume")
+        Server.cut = None
+        self.fetch()
+        self.assertEqual(Server.requests, [None, "bytes=60000-"])
+
+    def test_does_not_splice_two_dates(self):
+        Server.etag, Server.modified, Server.cut = None, "Mon, 01 Jan 2024 00:00:00 GMT", 60_000
+        self.refused("run again to resume")
+        picture, Server.etag, Server.modified, Server.heeds = self.other_version(), None, "Tue, 02 Jan 2024 00:00:00 GMT", False
+        self.fetch()
+        self.assertEqual((self.picture(), Server.requests), (picture, [None, "bytes=60000-", None]))
+
+    def test_goes_on_with_nothing_but_a_known_sum(self):
+        Server.etag, Server.cut = None, 60_000
+        self.refused("at 60000 of .* bytes; run again$")
+        self.refused("at 60000 of .* bytes; run again$")
+        self.assertEqual(Server.requests, [None, None], "nobody would notice two versions in one")
+        line = f"{hashlib.sha256(Server.content).hexdigest()}  tandt_db.zip\n"
+        (self.folder / "archives/SHA256SUMS").write_text(line)
+        self.refused("run again to resume")
+        Server.cut = None
+        self.fetch()
+        self.assertEqual(Server.requests[2:], ["bytes=60000-"] * 2)
+
+    def test_a_dropped_connection_is_tried_again(self):
+        Server.cut = 60_000
+        with mock.patch.object(fetch_captures, "ATTEMPTS", 3):
+            self.refused("run again to resume")
+            self.assertEqual(Server.requests, [None, "bytes=60000-", "bytes=60000-"])
+            drops = iter([80_000, None])
+            with mock.patch.object(fetch_captures.time, "sleep", side_effect=lambda _: setattr(Server, "cut", next(drops))):
+                self.fetch()
+        self.assertEqual(Server.requests[3:], ["bytes=60000-", "bytes=60000-", "bytes=80000-"])
+
+    def test_what_no_attempt_helps_is_said_at_once(self):
+        (self.folder / "archives").mkdir()
+        certificate = ssl.SSLCertVerificationError("CERTIFICATE_VERIFY_FAILED")
+        certificate.verify_message = "self-signed certificate"
+        for reason, expected in (
+            (socket.gaierror(-2, "Name or service not known"), "127.0.0.1: cannot find this host: Name or service not known"),
+            (certificate, "127.0.0.1: its certificate is refused: self-signed certificate"),
+        ):
+            with mock.patch("urllib.request.urlopen", side_effect=urllib.error.URLError(reason)), self.assertRaises(FetchError) as end:
+                self.fetch()
+            self.assertEqual(str(end.exception), expected)
+
+    @unittest.skipUnless(Path("/dev/full").exists(), "no disk that is always full")
+    def test_a_full_disk_is_named(self):
+        (self.folder / "archives").mkdir()
+        part = self.folder / "archives/tandt_db.zip.part"
+        part.symlink_to("/dev/full")
+        with mock.patch.object(fetch_captures, "ATTEMPTS", 3):
+            self.refused(f"^{part}: No space left on device; with more room the same command goes on$")
+        self.assertEqual(Server.requests, [None])
+
+    def test_progress(self):
+        for is_terminal, most in ((True, 45), (False, 22)):
+            said = io.StringIO()
+            said.isatty = lambda is_terminal=is_terminal: is_terminal
+            with contextlib.redirect_stderr(said):
+                progress = fetch_captures.Progress("a.zip", 0, 40_000_000)
+                for done in range(10_000, 40_000_001, 10_000):
+                    progress.say(done)
+                progress.end()
+            text = said.getvalue()
+            self.assertEqual((text.count("\r") > 0, text.endswith("a.zip: 40 of 40 MB\n")), (is_terminal, True))
+            self.assertTrue(15 < text.count("MB") < most, text)
+
+    def test_hangups_that_are_ignored_remain_so(self):
+        code = (
+            "import signal, fetch_captures; signal.signal(signal.SIGHUP, signal.SIG_IGN); fetch_captures.end_on_signals();"
+            "print(signal.getsignal(signal.SIGHUP) is signal.SIG_IGN, signal.getsignal(signal.SIGTERM) is signal.default_int_handler)"
+        )
+        done = subprocess.run([sys.executable, "-B", "-c", code], cwd=Path(__file__).parent, capture_output=True, text=True)
+        self.assertEqual((done.stdout, done.stderr), ("True True\n", ""))
+
+    def test_a_scene_that_is_half_unpacked_is_none(self):
+        extract = fetch_captures.extract
+
+        def interrupted(source, entry, target):
+            if entry.filename.endswith(".jpg"):
+                raise KeyboardInterrupt
+            extract(source, entry, target)
+
+        with mock.patch.object(fetch_captures, "extract", side_effect=interrupted), self.assertRaises(KeyboardInterrupt):
+            self.fetch()
+        self.assertTrue((self.folder / "tandt_db/tandt/truck/sparse/0").is_dir())
+        with self.assertRaisesRegex(FetchError, "found none in tandt/truck"), contextlib.redirect_stdout(io.StringIO()):
+            fetch_captures.say_commands("tandt_db", ["tandt/truck"], self.folder / "tandt_db")
+        self.assertIn("tandt/truck", self.fetch())
+
+    def test_no_temporary_files_are_left(self):
+        def hidden():
+            return [p.name for p in (self.folder / "tandt_db").rglob(".fetch-captures-*")]
+
+        Server.content = self.damaged()
+        self.refused("Bad CRC-32")
+        self.assertEqual(hidden(), [])
+        # Of a run that was killed.
+        (self.folder / "tandt_db/tandt/truck/.fetch-captures-x").touch()
+        (self.folder / "archives/tandt_db.zip").unlink()
+        Server.content = archive(SCENE)
+        self.fetch()
+        self.assertEqual(hidden(), [])
+
+    def test_archives_can_be_deleted(self):
+        self.assertIn("archives takes 0.0 GB; its archives can be deleted", self.fetch())
+        (self.folder / "archives/tandt_db.zip").unlink()
+        Server.requests = []
+        with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=0)):
+            self.assertIn("train", self.fetch())
+        self.assertEqual(Server.requests, [], "what is whole is not downloaded again")
+        (self.folder / "tandt_db/tandt/truck/images/000001.jpg").unlink()
+        self.fetch(scenes=["train"])
+        self.assertEqual(Server.requests, [])
+        self.fetch()
+        self.assertEqual(len(Server.requests), 1, "what is not, is")
+
     def test_part_longer_than_the_file(self):
         (self.folder / "archives").mkdir()
         (self.folder / "archives/tandt_db.zip.part").write_bytes(bytes(len(Server.content) + 9))
@@ -147,8 +307,11 @@ class Fetch(unittest.TestCase):
 
     def test_no_two_commands_write_one_file(self):
         for name, collection in fetch_captures.CAPTURES.items():
-            for scene in collection.scenes:
-                (self.folder / name / scene / "sparse/0").mkdir(parents=True)
+            files = {f"{scene}/sparse/0/cameras.bin": 0 for scene in collection.scenes}
+            for file in files:
+                (self.folder / name / file).parent.mkdir(parents=True)
+                (self.folder / name / file).touch()
+            fetch_captures.mark(collection.scenes, self.folder / name, files)
             printed = io.StringIO()
             with contextlib.redirect_stdout(printed):
                 fetch_captures.say_commands(name, list(collection.scenes), self.folder / name)
@@ -165,6 +328,7 @@ class Fetch(unittest.TestCase):
     def test_compares_with_the_first_download(self):
         self.fetch()
         (self.folder / "archives/tandt_db.zip").unlink()
+        (self.folder / "tandt_db/tandt/truck" / fetch_captures.MARKER).unlink()
         Server.content = archive(SCENE[:1])
         self.refused("SHA-256.*SHA256SUMS says .*; delete it and run again")
 
@@ -203,8 +367,8 @@ class Fetch(unittest.TestCase):
 
     def test_a_damaged_archive_is_not_recorded_beside_files_of_its_size(self):
         self.fetch()
-        for name in ("tandt_db.zip", "SHA256SUMS"):
-            (self.folder / "archives" / name).unlink()
+        for name in ("archives/tandt_db.zip", "archives/SHA256SUMS", f"tandt_db/tandt/truck/{fetch_captures.MARKER}"):
+            (self.folder / name).unlink()
         Server.content = self.damaged()
         self.refused("Bad CRC-32.*; delete it and run again")
         self.assertFalse((self.folder / "archives/SHA256SUMS").exists())
@@ -323,6 +487,10 @@ class Fetch(unittest.TestCase):
         listed = json.loads((folder / "scenes.json").read_text())["scenes"]
         self.assertEqual(listed, {"lego": {"capture": "lego", "flags": ["--background", "white"]}})
 
+    def test_a_synthetic_scene_without_test_views_is_none(self):
+        Server.content = archive([("lego/transforms_train.json", b"{}")])
+        self.refused("found none in lego", "nerf_synthetic", ["lego"])
+
     def tanks(self, scenes=None):
         """Fetches Tanks and Temples, whose checksum is not that of the archive here."""
         collection = dataclasses.replace(fetch_captures.CAPTURES["tandt"], sums={})
@@ -363,6 +531,15 @@ class Fetch(unittest.TestCase):
         self.assertIn("--scenes truck,train", printed)
         self.assertNotIn("Ignatius", printed)
         self.assertEqual(self.captures(), ["TNT_GOF/TrainingSet/Barn", "tandt/train", "tandt/truck"])
+
+    def test_scenes_are_named_as_in_the_list_of_them(self):
+        Server.contents = TANKS
+        for name in ("Truck-larger", "Truck"):
+            self.assertIn("-o Truck-larger.glb", self.tanks([name]))
+            self.assertIn("TNT_GOF/TrainingSet/Truck", self.captures())
+            shutil.rmtree(self.folder / "tandt")
+        with self.assertRaisesRegex(FetchError, "expected truck, train, Barn, .*, Truck-larger, found lorry"):
+            self.tanks(["lorry"])
 
     def test_truck_and_train_alone_need_one_archive(self):
         Server.contents = TANKS

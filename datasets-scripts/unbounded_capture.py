@@ -5,7 +5,8 @@
     python unbounded_capture.py room FOLDER               # all around in a room with windows
     python unbounded_capture.py garden FOLDER --check     # only check what is there
 
-Points are triangulated from noisy pixels of three views or more, as far as they agree; tracks say which.
+Points are triangulated from noisy pixels of three views or more, as far as they agree; tracks say which. A run that was interrupted goes on
+where it stopped when it is started the same again; until its end FOLDER is no capture.
 """
 
 import argparse
@@ -20,6 +21,7 @@ try:
 except ImportError as error:
     sys.exit(f"error: {error}; install it with: pip install -r {Path(__file__).with_name('requirements.txt')}")
 
+import rendering
 from colmap_model import centre_of, read_model, write_model
 from mitsuba_capture import (
     cast,
@@ -33,8 +35,8 @@ from mitsuba_capture import (
     render,
     sample,
     samples,
-    save,
     seen,
+    take,
 )
 from triangulation import triangulate, widest_angle
 from unbounded_garden import garden
@@ -198,16 +200,9 @@ def main(arguments=None):
             Image.fromarray(picture(i)).save(folder / f"{i:03d}.png")
         return
     if not arguments.check:
-        (folder / "images").mkdir(parents=True, exist_ok=True)
-        for i in range(len(poses)):
-            save(picture(i), folder, i)
-            print(f"view {i + 1}/{len(poses)}, {time.time() - start:.0f} s", flush=True)
-        write_model(
-            folder / "sparse/0",
-            camera,
-            poses,
-            *sparse_points(scene, camera, poses, pictures_of(folder, len(poses)), np.random.default_rng(3)),
-        )
+        take(picture, folder, len(poses), {"scene": arguments.scene, "spp": arguments.spp})
+        points = sparse_points(scene, camera, poses, pictures_of(folder, len(poses)), np.random.default_rng(3))
+        rendering.finish(folder, lambda model: write_model(model, camera, poses, *points))
     check(scene, world, folder)
 
 

@@ -8,8 +8,7 @@ cd "$(dirname "$0")/.."
 data=${CENTAUR_DATA:-}
 out=${CAPTURES_OUT:-out/captures}
 mkdir -p "$out"
-[ -n "${CAPTURES_CENTAUR:-}" ] || cargo build --release --quiet
-centaur() { if [ -n "${CAPTURES_CENTAUR:-}" ]; then "$CAPTURES_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+. scripts/one-program.sh "${CAPTURES_CENTAUR:-}"
 # A training that is stopped ends well, which a shell takes for the end of that command alone.
 trap 'exit 130' INT
 

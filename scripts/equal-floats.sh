@@ -12,8 +12,7 @@ out=${EQUAL_FLOATS_OUT:-out/equal-floats}
 read -ra budgets <<<"${EQUAL_FLOATS_BUDGETS:-300000 600000 1200000}"
 read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 534 --iterations 800 --surface-iterations 320 --warmup 240}"
 [ -z "${EQUAL_FLOATS_LPIPS:-}" ] || flags+=(--lpips-weights "$EQUAL_FLOATS_LPIPS")
-[ -n "${EQUAL_FLOATS_CENTAUR:-}" ] || cargo build --release --quiet
-centaur() { if [ -n "${EQUAL_FLOATS_CENTAUR:-}" ]; then "$EQUAL_FLOATS_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+. scripts/one-program.sh "${EQUAL_FLOATS_CENTAUR:-}"
 
 mkdir -p $scenes "$out"
 . scripts/link-captures.sh

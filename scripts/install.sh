@@ -13,9 +13,10 @@ if [ "$(id -u)" -ne 0 ]; then
 fi
 echo "installing $*"
 for attempt in 1 2 3; do
+    # One source out of reach is not all of them.
+    "${as_root[@]}" apt-get update -qq || echo "warning: apt-get update failed: installing what the lists know that are there" >&2
     # sudo drops the environment, hence env.
-    if "${as_root[@]}" apt-get update -qq &&
-        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends "$@" >/dev/null; then
+    if "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends "$@" >/dev/null; then
         exit 0
     fi
     [ $attempt -eq 3 ] || sleep $((attempt * 10))

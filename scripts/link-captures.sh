@@ -3,7 +3,9 @@
 link() { # name, capture
     # A link to a capture stays: another run may be reading through it.
     if [ -d "$2/sparse" ]; then
-        [ "$(readlink "$scenes/$1")" = "$(realpath "$2")" ] || ln -sfn "$(realpath "$2")" "$scenes/$1"
+        local place
+        place=$(cd "$2" && pwd -P)
+        [ "$(readlink "$scenes/$1")" = "$place" ] || ln -sfn "$place" "$scenes/$1"
     else
         [ -d "$scenes/$1/" ] || rm -f "$scenes/$1"
         if [ -d "$scenes/$1/" ]; then echo "$1: that of a former run, $(readlink "$scenes/$1")"; else echo "$1: left out, $2 is not there"; fi

@@ -10,8 +10,7 @@ cd "$(dirname "$0")/.."
 scenes=target/order-modes
 out=${ORDER_MODES_OUT:-out/order-modes}
 read -ra flags <<<"${ORDER_MODES_FLAGS:---max-side 176 --iterations 800 --warmup 240 --max-floats 600000 --texture-size 256 --band-degree 0}"
-centaur=(cargo run --release --quiet --)
-[ -z "${ORDER_MODES_CENTAUR:-}" ] || centaur=("$ORDER_MODES_CENTAUR")
+. scripts/one-program.sh "${ORDER_MODES_CENTAUR:-}"
 mkdir -p $scenes "$out"
 . scripts/link-captures.sh
 
@@ -21,8 +20,16 @@ failed=0
 for scene in demo garden street room; do
     [ -d "$scenes/$scene/" ] || continue
     truth="$out/$scene.ply"
-    [ -f "$truth" ] || "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth"
-    "${centaur[@]}" bench $scenes --scenes $scene -o "$out/$scene" "$@" \
+    if [ ! -f "$truth" ] || [ -n "$(find datasets-scripts -name '*.py' -newer "$truth")" ]; then
+        "${ORDER_MODES_PYTHON:-python3}" datasets-scripts/true_surface.py $scene "$truth.new.ply"
+        if [ -f "$truth" ] && ! cmp -s "$truth" "$truth.new.ply" && [ -d "$out/$scene" ]; then
+            rm "$truth.new.ply"
+            echo "error: $out/$scene: its results are of another surface than scripts make now: delete it and $truth" >&2
+            exit 1
+        fi
+        mv "$truth.new.ply" "$truth"
+    fi
+    centaur bench $scenes --scenes $scene -o "$out/$scene" "$@" \
         --variant stable="--mode stable" \
         --variant surface-consistent="--mode surface-consistent" \
         --variant direct="--mode direct" \

@@ -2,4 +2,6 @@
 # Where cargo puts the program, wherever its configuration says: `program.sh`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-echo "$(cargo metadata --format-version 1 --no-deps | sed 's/.*"target_directory":"\([^"]*\)".*/\1/')/release/centaur"
+folder=$(cargo metadata --format-version 1 --no-deps | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
+[ -n "$folder" ] || { echo "error: cargo metadata: expected a target_directory, found none" >&2; exit 1; }
+echo "$folder/release/centaur"

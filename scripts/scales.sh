@@ -8,8 +8,7 @@ cd "$(dirname "$0")/.."
 floats=${SCALES_FLOATS:-1475000}
 iterations=${SCALES_ITERATIONS:-1000}
 out=${SCALES_OUT:-out/scales}/$floats-$iterations
-[ -n "${SCALES_CENTAUR:-}" ] || cargo build --release --quiet
-centaur() { if [ -n "${SCALES_CENTAUR:-}" ]; then "$SCALES_CENTAUR" "$@"; else cargo run --release --quiet -- "$@"; fi; }
+. scripts/one-program.sh "${SCALES_CENTAUR:-}"
 # A training that is stopped ends well, which a shell takes for the end of that command alone.
 trap 'exit 130' INT
 

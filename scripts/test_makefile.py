@@ -10,23 +10,28 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 # Those that name files by absolute paths.
 TARGETS = ["oracle-gsplat", "oracle-lpips", "oracle-splat-transform", "oracle-usd", "oracle-tint", "convert-times"]
+TARGETS += ["crosscheck", "oracle-composition"]
 
 
 class Makefile(unittest.TestCase):
-    def test_the_repository_may_lie_in_a_folder_with_a_space_in_its_name(self):
+    def test_the_repository_and_data_may_lie_in_folders_with_spaces_in_their_names(self):
         with tempfile.TemporaryDirectory(prefix="make") as parent:
-            folder = Path(parent).resolve() / "a b"
+            folder, data = Path(parent).resolve() / "a b", Path(parent).resolve() / "c d"
             folder.mkdir()
             for name in ["Makefile", "datasets-scripts", "scripts", "tests"]:
                 (folder / name).symlink_to(ROOT / name)
             own = ("CENTAUR_GSPLAT_FIXTURE", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
             env = {name: value for name, value in os.environ.items() if name not in own}
+            env |= {"CENTAUR_DATA": str(data), "TRAINED": str(data / "scene.glb")}
             commands = subprocess.run(["make", "-n", *TARGETS], cwd=folder, env=env, capture_output=True, text=True, check=True)
-            lines = commands.stdout.replace("\\\n", "").splitlines()
-            words = [word for line in lines for word in shlex.split(line)]
+            words = shlex.split(commands.stdout.replace("\\\n", ""), comments=True)
             absolute = [word for word in words if str(folder.parent) in word]
-            self.assertGreater(len(absolute), 3)
-            self.assertEqual([word for word in absolute if str(folder) not in word], [])
+            self.assertGreater(len([word for word in absolute if str(folder) in word]), 3)
+            of_data = [word for word in absolute if word.startswith(f"{data}/")]
+            samples = [word for word in of_data if "/meshes_gltf_samples/" in word and Path(word).suffix in (".glb", ".gltf")]
+            self.assertEqual((len(samples), of_data.count(f"{data}/scene.glb")), (5, 1))
+            self.assertIn(f"{data}/oracle_gsplat/assets/test_garden.npz", of_data)
+            self.assertEqual([word for word in absolute if str(folder) not in word and word not in of_data], [])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-//! One file per subcommand. Exit codes: 0 done, 1 failure, which the last line on stderr tells, 2 wrong usage.
+//! One file per subcommand. Exit codes: 0 done, 1 failure, which the last line on stderr tells, 2 wrong usage, 3 jobs of
+//! `bench` that another runner is at.
 
 mod bench;
 mod cameras;
@@ -34,7 +35,7 @@ First steps:
   centaur render scene.glb -o frames                    # pictures
   centaur convert scene.glb scene.ply --no-mesh         # splats for other programs
 
-Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (the last line on stderr, which begins with `error:`, says why), 2 wrong usage.";
+Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (the last line on stderr, which begins with `error:`, says why), 2 wrong usage, 3 jobs of bench that another runner is at.";
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
 #[derive(Parser)]
@@ -79,6 +80,9 @@ impl Command {
 /// Exit code of wrong usage, which is clap's.
 const WRONG_USAGE: u8 = 2;
 
+/// Exit code where jobs of `centaur bench` are another runner's: to whoever runs it no failure, but a reason to ask again.
+const LEFT_TO_ANOTHER: u8 = 3;
+
 pub(crate) fn main() -> ExitCode {
     // What clap knows to be wrong usage ends here with exit code 2.
     let command = Cli::parse().command;
@@ -92,7 +96,13 @@ pub(crate) fn main() -> ExitCode {
         Err(e) => {
             // Nothing is left to be done if stderr is gone too.
             let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
-            if usage::is_wrong(&e) { ExitCode::from(WRONG_USAGE) } else { ExitCode::FAILURE }
+            if usage::is_wrong(&e) {
+                ExitCode::from(WRONG_USAGE)
+            } else if bench::is_left_to_another(&e) {
+                ExitCode::from(LEFT_TO_ANOTHER)
+            } else {
+                ExitCode::FAILURE
+            }
         }
     }
 }

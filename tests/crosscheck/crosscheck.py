@@ -88,6 +88,13 @@ def read_rgb(path):
 # --- Renderers: each gives {camera: ({layer: RGBA}, seconds)} for a scene ---
 
 
+def place(folder, name):
+    """Where a picture goes, without one of a former run: that would be compared where a program ends well and writes none."""
+    picture = folder / name
+    picture.unlink(missing_ok=True)
+    return picture
+
+
 def at_time(scene):
     return ["--time", TIMES[scene.stem]] if scene.stem in TIMES else []
 
@@ -111,7 +118,7 @@ def by_mitsuba(centaur, scene, cameras, out):
     run([*centaur, "convert", scene, xml, *at_time(scene), "--quiet"])
     pictures = {}
     for i in range(cameras):
-        exr = xml.parent / f"{i}.exr"
+        exr = place(xml.parent, f"{i}.exr")
         plugins = xml.with_name("hybrid_rf.py")
         seconds, _ = run([sys.executable, plugins, xml, "-o", exr, "--camera", i, "--output", "blending"])
         pictures[i] = read(exr), seconds
@@ -126,7 +133,7 @@ def by_stock_mitsuba(centaur, scene, cameras, out):
     decodes = '"srgb_primitives" value="true"' in xml.read_text()
     pictures = {}
     for i in range(cameras):
-        exr = xml.parent / f"{i}.exr"
+        exr = place(xml.parent, f"{i}.exr")
         seconds, _ = run([sys.executable, pathlib.Path(__file__).with_name("stock_mitsuba.py"), xml, exr, i])
         rgb = read_rgb(exr)
         encoded = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 0) ** (1 / 2.4) - 0.055) if decodes else rgb
@@ -134,14 +141,14 @@ def by_stock_mitsuba(centaur, scene, cameras, out):
     return pictures
 
 
-def by_blender(python, construction, centaur, scene, cameras, out):
-    script = out / f"blender-{construction}" / "scene.blend.py"
+def by_blender(python, version, construction, centaur, scene, cameras, out):
+    script = out / f"blender-{version}-{construction}" / "scene.blend.py"
     script.parent.mkdir(exist_ok=True)
     run([*centaur, "convert", scene, script, "--quiet"])
     frame = ["--frame", 1 + round(TIMES[scene.stem] * FPS)] if scene.stem in TIMES else []
     pictures = {}
     for i in range(cameras):
-        exr = script.parent / f"{i}.exr"
+        exr = place(script.parent, f"{i}.exr")
         command = [python, script, "--render", exr, "--construction", construction, "--camera", i, "--layers", *frame]
         seconds, _ = run(command)
         pictures[i] = read(exr), seconds
@@ -229,7 +236,7 @@ def check(scene, arguments, out):
     for python in arguments.blender_python if scene.stem not in NOT_CYCLES else []:
         version = run([python, "-c", "import bpy; print('%d.%d.%d' % bpy.app.version)"])[1].split()[-1]
         for construction, model in [("cap", "ray"), ("ewa", "ewa")] if count else [("ewa", "ray")]:
-            render = lambda python=python, c=construction: by_blender(python, c, centaur, scene, cameras, out)
+            render = lambda python=python, v=version, c=construction: by_blender(python, v, c, centaur, scene, cameras, out)
             comparisons.append((f"blender {version} {construction}", model, gate_of(f"blender {construction}"), render))
     rows = []
     for name, model, gate, render in comparisons:
@@ -255,6 +262,15 @@ def check(scene, arguments, out):
     return rows
 
 
+def ensure_names(found, only, is_quick):
+    """Stops where a name is of no scene: nothing would come of what is said of it. Of --quick, slow scenes need not be there."""
+    known = set(found) | set(SLOW if is_quick else [])
+    for what, names in [("--only", only), ("SLOW", SLOW), ("NOT_CYCLES", NOT_CYCLES), ("TIMES", TIMES)]:
+        for name in names:
+            if name not in known:
+                sys.exit(f"crosscheck.py: {what}: expected one of the scenes {', '.join(sorted(known))}, found {name}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--centaur", type=shlex.split, required=True)
@@ -265,6 +281,8 @@ def main():
     parser.add_argument("--only", action="append", default=[])
     arguments = parser.parse_args()
     scenes = sorted(arguments.scenes.glob("*.glb"))
+    if scenes:
+        ensure_names([s.stem for s in scenes], arguments.only, arguments.quick)
     scenes = [s for s in scenes if (s.stem in arguments.only or not arguments.only) and not (arguments.quick and s.stem in SLOW)]
     if not scenes:
         sys.exit(f"crosscheck.py: {arguments.scenes}: no scenes (.glb)")

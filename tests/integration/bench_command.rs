@@ -1,5 +1,6 @@
 //! `centaur bench` on a small data set: done once, gone on with, listed for others.
 
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 #[cfg(target_os = "linux")]
 use std::path::PathBuf;
@@ -270,6 +271,39 @@ fn tasks_of_slurm_do_every_job_once() {
     expected.sort_unstable();
     listed.sort_unstable();
     assert_eq!(listed, expected);
+}
+
+/// What another runner is at is told from what is done, and done where that runner leaves it undone.
+#[test]
+fn jobs_of_another_runner_have_an_exit_code_and_can_be_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    no_cameras(&at("scenes/one"));
+    std::fs::create_dir_all(at("out/default")).unwrap();
+    let lock = std::fs::File::create(at("out/default/one-0.lock")).unwrap();
+    lock.lock().unwrap();
+    let bench = |more: &[&str]| {
+        let mut command = centaur(folder.path());
+        command.args(["bench", "scenes", "-o", "out", "--quiet"]).args(more).stderr(Stdio::piped());
+        command
+    };
+    let all = bench(&[]).output().unwrap();
+    assert!(all.status.success(), "{:?}", said(&all));
+    assert_eq!(said(&all).1, "note: 1 job left to another runner, first default/one-0\n");
+    let left =
+        "error: 1 job left to another runner, first default/one-0: the same command does what that leaves undone\n";
+    for part in [["--only", "default/one-0"], ["--shard", "0/1"], ["--wait", "1"]] {
+        let part = bench(&part).output().unwrap();
+        assert_eq!(part.status.code(), Some(3), "{:?}", said(&part));
+        assert!(said(&part).1.ends_with(left), "{:?}", said(&part));
+    }
+    let mut waiting = bench(&["--wait", "600"]).spawn().unwrap();
+    let mut lines = BufReader::new(waiting.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert_eq!(lines.next().unwrap(), "note: 1 job left to another runner: waiting for at most 600 s");
+    drop(lock);
+    // A capture without cameras: it has been tried.
+    assert!(lines.last().unwrap().starts_with("error: 1 of 1 jobs failed, first default/one-0: "));
+    assert_eq!(waiting.wait().unwrap().code(), Some(1));
 }
 
 /// A runner of a training that does not end.

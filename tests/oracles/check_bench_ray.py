@@ -1,7 +1,8 @@
 """bench_ray.py on a cluster of two nodes on this machine: `check_bench_ray.py "PROGRAM" CAPTURE FOLDER`.
 
 Two scenes (links to one capture) times two variants, coarse; each node takes one job at a time, so both must work. Then two jobs of a
-made-up program on the second node, which says of itself that it has two GPUs: each must have its own.
+made-up program on the second node, which says of itself that it has two GPUs: each must have its own. Then one that fails once, and one
+that kills the worker it runs under and is still at it when Ray has started that anew: it must be waited for.
 """
 
 import contextlib
@@ -42,17 +43,45 @@ elif "--only" in sys.argv:
             sys.exit("error: expected another job at the same time, found none in two minutes")
         time.sleep(0.1)
 """
+UNLUCKY = """
+import fcntl, os, pathlib, signal, sys, time
+folder = pathlib.Path(__file__).parent
+if "--list" in sys.argv:
+    for job in "a/fails-0", "a/killed-0":
+        if not (folder / job.replace("/", "-")).with_suffix(".json").exists():
+            print("centaur bench --only", job)
+elif "--only" in sys.argv:
+    job = folder / sys.argv[-1].replace("/", "-")
+    is_first = not job.with_suffix(".lock").exists()
+    lock = job.with_suffix(".lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        job.with_suffix(".asked").touch()
+        sys.exit(3)
+    if is_first and "fails" in job.name:
+        sys.exit("error: this once")
+    if is_first:
+        worker = os.getppid()
+        os.setsid()  # Ray ends what is left of a worker's group
+        os.kill(worker, signal.SIGKILL)
+        end = time.monotonic() + 120
+        while not job.with_suffix(".asked").exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        sys.exit("error: of this nobody hears")
+    job.with_suffix(".json").touch()
+"""
 NVIDIA_SMI = "#!/bin/sh\nprintf '0, GPU-aa, 00000000:41:00.0\\n1, GPU-bb, 00000000:C1:00.0\\n'\n"
 
 
-def bench(arguments):
-    """What bench_ray.py prints."""
+def bench(arguments, code=0):
+    """What bench_ray.py prints, which has to end so."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         try:
             bench_ray.main(arguments)
         except SystemExit as end:
-            assert end.code == 0, (end.code, said.getvalue())
+            assert end.code == code, (end.code, said.getvalue())
     ray.shutdown()
     print(said.getvalue())
     return said.getvalue()
@@ -63,6 +92,19 @@ def check_gpus(address, folder):
     bench(["--program", f"{sys.executable} {folder / 'stand_in.py'}", "--address", address, "--gpus", "1", "--cpus", "0.5", "none", "-o", "none"])
     adapters = dict(json.loads(path.read_text()) for path in folder.glob("*.json"))
     assert adapters == {"0": "0000:41:00.0", "1": "0000:c1:00.0"}, adapters
+
+
+def check_unlucky(address, folder):
+    folder.mkdir()
+    (folder / "unlucky.py").write_text(UNLUCKY)
+    arguments = ["--program", f"{sys.executable} {folder / 'unlucky.py'}", "--address", address, "--gpus", "0", "--cpus", "0.5",
+                 "--retry-after", "1", "none", "-o", "none"]
+    lines = bench(arguments, "1 of 2 jobs failed").splitlines()
+    of = lambda job: [line.split(": ", 1)[1] for line in lines if f"  a/{job}-0 on node " in line]
+    assert of("fails") == ["error: this once"], lines
+    assert of("killed") == ["left to another runner; again every 1 s", "ended"], lines
+    lines = bench(arguments).splitlines()
+    assert (of("fails"), of("killed")) == (["ended"], []), lines
 
 
 def give_up(*_):
@@ -94,8 +136,9 @@ def main():
     assert all(row["psnr"] > 5 for v in table["variants"] for row in v["rows"])
     assert bench_ray.open_jobs(program.split(), options) == [], "what is done is done"
     check_gpus(cluster.address, gpus)
+    check_unlucky(cluster.address, folder / "unlucky")
     cluster.shutdown()
-    print("two nodes, four jobs; two GPUs, a job each: agreed")
+    print("two nodes, four jobs; two GPUs, a job each; a job that failed, one whose worker was killed: agreed")
 
 
 if __name__ == "__main__":

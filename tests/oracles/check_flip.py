@@ -1,6 +1,6 @@
 """FLIP by its own package: prints the figures that src/metrics/flip.rs is held to.
 
-  check_flip.py [FOLDER …]    also takes the pictures of `centaur eval -o FOLDER` and compares with the figures there
+  check_flip.py [FOLDER …]    fails where the package gives others; also takes the pictures of `centaur eval -o FOLDER` and compares with the figures there
 """
 
 import sys
@@ -8,6 +8,10 @@ import sys
 import eval_sheets
 import flip_evaluator
 import numpy as np
+
+
+# By width and height: `golden_values` in that file.
+GOLDEN = {(64, 48): 0.377455, (31, 17): 0.353533, (5, 3): 0.444331}
 
 
 def pictures(width, height):
@@ -34,7 +38,9 @@ def compare(folder):
 
 
 if __name__ == "__main__":
-    for truth, render in [pictures(64, 48), pictures(31, 17), pictures(5, 3)]:
-        print(f"{truth.shape[1]}×{truth.shape[0]}: {flip(truth, render):.6f}")
+    for (width, height), golden in GOLDEN.items():
+        found = flip(*pictures(width, height))
+        print(f"{width}×{height}: {found:.6f}")
+        assert abs(found - golden) < 5e-6, f"{width}×{height}: expected {golden}, found {found}"
     for folder in sys.argv[1:]:
         compare(folder)

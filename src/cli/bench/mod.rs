@@ -71,6 +71,10 @@ pub(super) struct Args {
     /// Only every N-th job, from the I-th on, counted from 0: for arrays of Slurm
     #[arg(long, value_name = "I/N", value_parser = jobs::shard)]
     shard: Option<Shard>,
+    /// When all others are done, wait at most so long for jobs that another runner is at, and do what it leaves undone. With this, --shard or
+    /// --only the exit code is 3 where one of them is still another runner's at the end
+    #[arg(long, value_name = "SECONDS", default_value_t = 0)]
+    wait: u64,
     /// Only this job; may be given several times
     #[arg(long, value_name = "VARIANT/SCENE-SEED")]
     only: Vec<String>,
@@ -95,6 +99,21 @@ impl Args {
     fn shares_machine(&self) -> bool {
         self.beside_others || self.shard.is_some()
     }
+
+    /// Whether whoever runs this has to know what is left to another runner, as schedulers that make the table when all is done.
+    fn wants_all(&self) -> bool {
+        self.shard.is_some() || !self.only.is_empty() || self.wait > 0
+    }
+}
+
+/// Jobs that another runner is at, which may do them yet.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct LeftToAnother(String);
+
+/// Whether an error is that, which has an exit code of its own.
+pub(super) fn is_left_to_another(error: &anyhow::Error) -> bool {
+    error.is::<LeftToAnother>()
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
@@ -131,7 +150,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(note) = jobs::of_full_size(&open) {
         output::note(&note);
     }
-    let Outcome { failed, is_stopped } = work::work(&open, args)?;
+    let Outcome { failed, left, is_stopped } = work::work(&open, args)?;
     let mut done = record::all(&args.output)?;
     // A shard may be empty, and be the first.
     let printed = if done.is_empty() {
@@ -155,6 +174,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     if let Some((job, reason)) = failed.first() {
         bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());
+    }
+    if let Some(job) = left.first() {
+        let jobs = output::counted(left.len(), "job");
+        let said = format!("{jobs} left to another runner, first {}", job.name());
+        if args.wants_all() {
+            return Err(LeftToAnother(format!("{said}: the same command does what that leaves undone")).into());
+        }
+        output::note(&said);
     }
     printed
 }

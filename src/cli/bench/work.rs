@@ -34,19 +34,53 @@ enum Ended {
 pub(super) struct Outcome<'j> {
     /// With reasons.
     pub(super) failed: Vec<(&'j Job, String)>,
+    /// Without a result: another runner is at them, or the run was stopped.
+    pub(super) left: Vec<&'j Job>,
     /// By Ctrl-C, before all were done.
     pub(super) is_stopped: bool,
 }
 
-/// Does the jobs.
+/// Between attempts at jobs that another runner is at: one that is killed leaves a training, which ends within seconds.
+const FIRST_PAUSE: Duration = Duration::from_millis(250);
+const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+
+/// Does the jobs, and waits for those that another runner is at as long as `args` say.
 pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
     let stop = interrupt::stop_flag();
+    let mut outcome = attempt(open, args, &stop)?;
+    let (wait, start) = (Duration::from_secs(args.wait), Instant::now());
+    if !outcome.is_stopped && !outcome.left.is_empty() && !wait.is_zero() {
+        let jobs = output::counted(outcome.left.len(), "job");
+        output::note(&format!("{jobs} left to another runner: waiting for at most {} s", args.wait));
+    }
+    let mut pause = FIRST_PAUSE;
+    while !outcome.is_stopped && !outcome.left.is_empty() && start.elapsed() < wait {
+        sleep(pause.min(wait.saturating_sub(start.elapsed())), &stop);
+        pause = (pause * 2).min(LONGEST_PAUSE);
+        let Outcome { failed, left, is_stopped } = attempt(&outcome.left, args, &stop)?;
+        outcome.failed.extend(failed);
+        outcome.left = left;
+        outcome.is_stopped = is_stopped;
+    }
+    Ok(outcome)
+}
+
+/// Until the run is stopped, at most.
+fn sleep(time: Duration, stop: &AtomicBool) {
+    let start = Instant::now();
+    while start.elapsed() < time && !stop.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(50).min(time));
+    }
+}
+
+/// Does each job that no other runner is at.
+fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Result<Outcome<'j>> {
     let bar = output::bar(&args.messages, open.len() as u64);
     bar.set_style(ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
     let at_a_time = open.len().min(args.jobs.into());
     let known = if args.shares_machine() { 0 } else { at_a_time };
     let (queue, failed) = (Mutex::new(open.iter()), Mutex::new(vec![]));
-    let (interrupted, elsewhere) = (AtomicBool::new(false), AtomicBool::new(false));
+    let interrupted = AtomicBool::new(false);
     std::thread::scope(|scope| {
         for _ in 0..at_a_time {
             scope.spawn(|| {
@@ -55,7 +89,7 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
                     let Some(&job) = next else { break };
                     bar.set_message(one_line(&job.name()).into_owned());
                     let start = Instant::now();
-                    match train(job, known, &stop) {
+                    match train(job, known, stop) {
                         Ok(Ended::Done(notes)) => {
                             bar.println(format!(
                                 "{}: {:.1} min",
@@ -66,7 +100,7 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
                             bar.suspend(|| notes.iter().for_each(say));
                         }
                         Ok(Ended::Interrupted) => interrupted.store(true, Ordering::Relaxed),
-                        Ok(Ended::Elsewhere) => elsewhere.store(true, Ordering::Relaxed),
+                        Ok(Ended::Elsewhere) => {}
                         Err(reason) => {
                             let line = one_line(&format!("{}: {reason:#}", job.name())).into_owned();
                             // A hidden bar says nothing.
@@ -89,11 +123,8 @@ pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
     let failed = failed.into_inner().unwrap_or_default();
     let is_stopped = stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed);
     let has_failed = |job: &Job| failed.iter().any(|(failed, _)| std::ptr::eq(*failed, job));
-    let left = open.iter().filter(|job| !job.result.is_file() && !has_failed(job)).count();
-    if !is_stopped && elsewhere.load(Ordering::Relaxed) && left > 0 {
-        output::note(&format!("{} left to another runner, which is at them", output::counted(left, "job")));
-    }
-    Ok(Outcome { failed, is_stopped })
+    let left = open.iter().copied().filter(|job| !job.result.is_file() && !has_failed(job)).collect();
+    Ok(Outcome { failed, left, is_stopped })
 }
 
 /// Before the number of jobs at a time in the first line of a lock.
@@ -111,7 +142,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => return Ok(Ended::Elsewhere),
-        Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {
+        Err(TryLockError::Error(e)) if are_unknown(&e) => {
             static SAID: Once = Once::new();
             let folder = path.display();
             SAID.call_once(|| output::note(&format!("{folder}: files cannot be locked here: jobs may be done twice")));
@@ -175,6 +206,12 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     Ok(Ended::Done(record::notes(&result).map(str::to_owned).collect()))
 }
 
+/// Whether what a lock ends with says that the file system has none: of NFS without a daemon for locks ENOLCK does.
+fn are_unknown(error: &io::Error) -> bool {
+    const ENOLCK: i32 = if cfg!(target_os = "linux") { 37 } else { 77 };
+    error.kind() == io::ErrorKind::Unsupported || cfg!(unix) && error.raw_os_error() == Some(ENOLCK)
+}
+
 /// What to do where a training does not go on from its checkpoint, such as after a change of the flags: as a job it always tries to.
 fn advice(reason: &str, checkpoint: &Path) -> &'static str {
     let is_refused = reason.strip_prefix(&*checkpoint.to_string_lossy()).is_some_and(|why| why.contains(": expected "));
@@ -188,4 +225,20 @@ fn this_program() -> Result<PathBuf> {
         return Ok(running.to_owned());
     }
     std::env::current_exe().context("cannot find this program")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_systems_without_locks_are_told_from_other_failures() {
+        assert!(are_unknown(&io::ErrorKind::Unsupported.into()));
+        assert!(!are_unknown(&io::ErrorKind::PermissionDenied.into()));
+        #[cfg(target_os = "linux")]
+        {
+            assert!(are_unknown(&io::Error::from_raw_os_error(37)), "ENOLCK");
+            assert!(!are_unknown(&io::Error::from_raw_os_error(5)), "EIO");
+        }
+    }
 }

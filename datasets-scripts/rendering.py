@@ -1,0 +1,62 @@
+"""Pictures of a capture that take long, so that an interrupted run is neither taken for whole nor begun anew. Standard library only.
+
+While pictures are made, FOLDER has no sparse/, without which it is no capture, and FOLDER/unfinished.json says how they are made: a run that
+makes them in the same way leaves those that are there, any other makes all anew.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+
+STAMP = "unfinished.json"
+MODEL = ("cameras.bin", "images.bin", "points3D.bin")
+
+
+def sources():
+    """A checksum of the scripts of this folder, of which some make scenes."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).resolve().parent.glob("*.py")):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
+
+
+def pictures(folder, files, settings, save):
+    """Makes the pictures of a capture: `save(i, path)` writes the i-th of `files`. All are made anew unless a run of the same `settings`, which
+    JSON can hold, was interrupted. An OSError where sparse/ has what is not of a model."""
+    folder, stamp, images = Path(folder), Path(folder, STAMP), Path(folder, "images")
+    how = json.dumps({**settings, "sources": sources()}, sort_keys=True) + "\n"
+    images.mkdir(parents=True, exist_ok=True)
+    remove_model(folder / "sparse")
+    if not (stamp.is_file() and stamp.read_text() == how):
+        stamp.unlink(missing_ok=True)
+        for file in files:
+            (images / file).unlink(missing_ok=True)
+        stamp.write_text(how)
+    for i, file in enumerate(files):
+        if not (images / file).exists():
+            # Of the same ending, by which programs know the format.
+            part = images / f".part.{file}"
+            save(i, part)
+            os.replace(part, images / file)
+
+
+def remove_model(sparse):
+    others = sorted({*sparse.rglob("*")} - {sparse / "0", *(sparse / "0" / file for file in MODEL)})
+    if others:
+        raise OSError(f"{others[0]}: expected nothing in {sparse} but the model, which is made anew")
+    for file in MODEL:
+        (sparse / "0" / file).unlink(missing_ok=True)
+    for folder in (sparse / "0", sparse):
+        if folder.is_dir():
+            folder.rmdir()
+
+
+def finish(folder, write):
+    """Makes a capture of the pictures: `write(path)` writes the model into a folder, which gets its name when it is whole."""
+    part = Path(folder, "sparse.part")
+    shutil.rmtree(part, ignore_errors=True)
+    write(part / "0")
+    part.rename(Path(folder, "sparse"))
+    Path(folder, STAMP).unlink()
