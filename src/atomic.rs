@@ -125,10 +125,10 @@ pub fn folder_of(file: &Path) -> &Path {
     file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Where a file of this name comes to be: where it leads, if it is a symbolic link to one.
+/// Where a file of this name comes to be: where it leads, if it is a symbolic link, be there a file or not.
 ///
 /// # Errors
-/// If it is a folder, a device or a pipe.
+/// If it is a folder, a device or a pipe, or a link that leads nowhere.
 pub fn place_of(output: &Path) -> io::Result<PathBuf> {
     if output.is_dir() {
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder of this name exists"));
@@ -136,9 +136,23 @@ pub fn place_of(output: &Path) -> io::Result<PathBuf> {
     if output.exists() && !output.is_file() {
         return Err(io::Error::other("it is a device or a pipe, not a file"));
     }
-    let linked = output.is_symlink().then(|| output.canonicalize().ok()).flatten();
-    Ok(linked.unwrap_or_else(|| output.to_owned()))
+    if !output.is_symlink() {
+        return Ok(output.to_owned());
+    }
+    if let Ok(place) = output.canonicalize() {
+        return Ok(place);
+    }
+    // Nothing is there yet.
+    let mut place = output.to_owned();
+    for _ in 0..MOST_LINKS {
+        let Ok(target) = fs::read_link(&place) else { return Ok(place) };
+        place = folder_of(&place).join(target);
+    }
+    Err(io::Error::other("it is one of symbolic links that lead to one another"))
 }
+
+/// As many symbolic links are followed, one after the other, as Linux does.
+const MOST_LINKS: usize = 40;
 
 /// Renames each of `files`, of which the first is in `staging`, to the second, in their order, over what is there: all of them, or none where
 /// one cannot be, which is the error's.
@@ -241,16 +255,20 @@ mod tests {
         let [folder, other] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         let [link, file] = [folder.path().join("a.bin"), other.path().join("b.bin")];
         std::os::unix::fs::symlink(&file, &link).unwrap();
-        // A link to nothing is replaced.
-        write(&link, b"old").unwrap();
-        assert!(!link.is_symlink() && !file.exists());
+        // Also by way of another, and where nothing is yet.
+        let between = other.path().join("c.bin");
+        std::os::unix::fs::symlink("b.bin", &between).unwrap();
         fs::remove_file(&link).unwrap();
-        fs::write(&file, b"old").unwrap();
-        std::os::unix::fs::symlink(&file, &link).unwrap();
+        std::os::unix::fs::symlink(&between, &link).unwrap();
+        write(&link, b"old").unwrap();
+        assert!(link.is_symlink() && between.is_symlink() && fs::read(&file).unwrap() == b"old");
         write(&link, b"new").unwrap();
         assert!(link.is_symlink());
         assert_eq!(fs::read(&file).unwrap(), b"new");
-        assert_eq!([&folder, &other].map(|f| fs::read_dir(f.path()).unwrap().count()), [1, 1]);
+        assert_eq!([&folder, &other].map(|f| fs::read_dir(f.path()).unwrap().count()), [1, 2]);
+        let round = folder.path().join("round");
+        std::os::unix::fs::symlink("round", &round).unwrap();
+        assert!(write(&round, b"").is_err() && round.is_symlink());
     }
 
     #[cfg(unix)]

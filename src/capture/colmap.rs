@@ -21,6 +21,16 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
 
+/// The folder of a model in or below `root` that lacks its cameras, the file that is missing and one that is there.
+pub(super) fn find_incomplete(root: &Path) -> Option<(PathBuf, String, &'static str)> {
+    const FILES: [&str; 4] = ["images.bin", "images.txt", "points3D.bin", "points3D.txt"];
+    ["sparse/0", "sparse", "colmap/sparse/0"].iter().map(|folder| root.join(folder)).find_map(|folder| {
+        let there = FILES.into_iter().find(|file| folder.join(file).is_file())?;
+        let missing = there.replace("images", "cameras").replace("points3D", "cameras");
+        Some((folder, missing, there))
+    })
+}
+
 /// Further models beside that in `folder`, in order: COLMAP's mapper numbers them, one for each set of photographs that it cannot connect with others.
 pub(super) fn further_models(folder: &Path) -> Vec<PathBuf> {
     if folder.file_name().is_none_or(|name| name != "0") {

@@ -293,6 +293,10 @@ fn lists(path: &Path, root: &Path) -> Result<(Lists, Vec<PathBuf>), CaptureError
         return Ok((Lists::Colmap(model), passed_over));
     }
     if found.files.is_empty() {
+        if let Some((folder, missing, there)) = colmap::find_incomplete(root) {
+            let expected = format!("{missing} beside {there}");
+            return Err(CaptureError::invalid(&folder, "COLMAP model", expected, "none: it is missing"));
+        }
         let expected =
             "a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself) or a transforms*.json";
         return Err(CaptureError::invalid(path, "capture", expected, "neither"));

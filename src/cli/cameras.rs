@@ -1,10 +1,10 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, anyhow, bail};
 use centaur::capture::LoadOptions;
 use centaur::format::{
-    CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, Summary, WRITABLE_CAMERAS, gltf, has_extension, inspect,
-    write_cameras, write_cameras_with_scene,
+    CameraFile, DEFAULT_FPS, FormatError, MAX_FRAMES, ReadOptions, Sampling, Summary, WRITABLE_CAMERAS, gltf,
+    has_extension, inspect, read_file, write_cameras, write_cameras_with_scene,
 };
 use centaur::path::{self, Around, PathError, Shot, Spline};
 use centaur::scene::{Camera, Intrinsics};
@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::edits::{finite, point, positive};
 use super::output;
-use super::shared::{SamplingArgs, frame_rate, read_cameras};
+use super::shared::{self, SamplingArgs, frame_rate, read_cameras};
 use super::usage;
 
 const EXAMPLES: &str = "\
@@ -22,6 +22,7 @@ Examples:
   centaur cameras spline captures/mipnerf360/garden -o flight.glb --keys 8 --closed
   centaur cameras lemniscate garden.glb -o eight.usda --radius-scale 0.5
   centaur cameras convert blender.glb -o shot.json --fps 24
+  centaur cameras orbit biker.spz -o orbit.json --size 1920x1080 --fov 40 --radius-scale 0.8
   centaur cameras orbit garden.glb -o garden-orbit.glb --with-scene
   centaur render garden.glb --cameras orbit.json -o frames --video orbit.mp4
 
@@ -30,6 +31,10 @@ SOURCE is a capture or COLMAP model (folder), a transforms*.json or camera_path.
 Photographs are not needed where the size of images is stated. Its world is that of the capture,
 y down, also where it is a glTF or USD of Centaur, which store that turned by half a turn about x;
 other glTF and USD are y up.
+
+Any other scene that `centaur convert` reads may be SOURCE of a path, too: where it has no cameras,
+8 in a ring look at it, 1024x768 and 45 degrees high, 15 degrees from above. Its middle and size are
+those of the box of nine tenths of splats, weighted by opacity, and of vertices along each axis.
 
 OUT is, by its name:
   .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera
@@ -109,7 +114,7 @@ enum Kind {
 
 #[derive(clap::Args)]
 struct FileArgs {
-    /// What has the cameras: a capture, a scene, a path
+    /// What has the cameras: a capture, a scene, a path; for making a path also a scene without
     #[arg(value_name = "SOURCE")]
     source: PathBuf,
     /// File (.json, .glb, .gltf, .usda) or folder (COLMAP) to write
@@ -192,12 +197,16 @@ pub(super) fn run(args: &Args) -> Result<()> {
         Kind::Lemniscate { files, shot, around } => {
             files.generate(shot, |views, _| path::lemniscate(views, &around.around(), &shot.shot()))
         }
-        Kind::Convert { files, sampling } => files.write(files.read(&sampling.sampling())?),
+        Kind::Convert { files, sampling } => {
+            files.check()?;
+            files.write(read_cameras(&files.source, &sampling.sampling(), &LoadOptions::default())?)
+        }
     }
 }
 
 impl FileArgs {
-    fn read(&self, sampling: &Sampling<'_>) -> Result<CameraFile> {
+    /// Refuses, before anything is read, what could not be written at the end.
+    fn check(&self) -> Result<()> {
         usage::demand(
             !self.with_scene || gltf::is_named(&self.output),
             format!("{}: --with-scene: expected a name that ends in .glb or .gltf", self.output.display()),
@@ -210,14 +219,34 @@ impl FileArgs {
         if !self.with_scene {
             let spared = output::spare(&self.output, [self.source.as_path()]);
             if gltf::is_named(&self.output) {
-                let lost = || format!("--with-scene writes {} again with the path in it", self.source.display());
-                spared.with_context(lost)?;
+                let advice = "with --with-scene it is written again with the path in it";
+                spared.map_err(|error| anyhow!("{error}; {advice}"))?;
             } else {
                 spared?;
             }
             self.spare_scene()?;
         }
-        read_cameras(&self.source, sampling, &LoadOptions::default())
+        Ok(())
+    }
+
+    /// The cameras to make a path of: those of the source or, where it is a scene without any, some around it.
+    fn views(&self) -> Result<CameraFile> {
+        // A path that SOURCE has of us gives way to this one; it is none of the cameras to go by.
+        let sampling = Sampling { without_paths: self.with_scene, ..Sampling::default() };
+        let read = read_cameras(&self.source, &sampling, &LoadOptions::default());
+        let Err(error) = read else { return read };
+        let is_scene = error.downcast_ref::<FormatError>().is_some_and(FormatError::is_lack_of_cameras);
+        // SOG, too, may be a .json.
+        if !is_scene && !has_extension(&self.source, &["json"]) {
+            return Err(error);
+        }
+        let scene = match read_file(&self.source, &ReadOptions::default()) {
+            Ok(scene) => scene,
+            Err(fault) => return Err(if is_scene { fault.into() } else { error }),
+        };
+        let (mut views, _) = shared::cameras_around(&self.source, &scene, &Sampling::default())?;
+        views.notes.push(format!("holds no cameras: the path goes by {} around what it shows", shared::PLACES));
+        Ok(views)
     }
 
     /// Refuses to write cameras alone over a scene: what was trained for hours has the name that a path of it might get.
@@ -242,8 +271,8 @@ impl FileArgs {
         shot: &ShotArgs,
         make: impl FnOnce(&[Camera], &mut Vec<String>) -> Result<Vec<Camera>, PathError>,
     ) -> Result<()> {
-        // A path that SOURCE has of us gives way to this one; it is none of the cameras to go by.
-        let mut source = self.read(&Sampling { without_paths: self.with_scene, ..Sampling::default() })?;
+        self.check()?;
+        let mut source = self.views()?;
         let views: Vec<Camera> = source.cameras.iter().map(|(_, camera)| *camera).collect();
         let frames = match make(&views, &mut source.notes) {
             Err(e @ (PathError::NoFocus | PathError::Outwards)) => {
@@ -305,9 +334,8 @@ impl FileArgs {
             (None, 1) => "1 camera".to_owned(),
             (None, n) => format!("{n} cameras"),
         };
-        let mut lines = vec![format!("{}: {what} of {}×{}{rate}", self.output.display(), k.width, k.height)];
-        lines.extend(notes.iter().map(|note| format!("note: {}: {note}", self.source.display())));
-        output::print(&lines.join("\n"))
+        notes.iter().for_each(|note| output::note(&format!("{}: {note}", self.source.display())));
+        output::print(&format!("{}: {what} of {}×{}{rate}", self.output.display(), k.width, k.height))
     }
 }
 

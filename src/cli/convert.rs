@@ -41,6 +41,10 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 /// Blender. Lines that begin with `lost:` name what it cannot hold; --strict makes that an error. What options remove, and what 32 bits
 /// round, is no loss; that a format has no record of the training is said, and no error.
 ///
+/// The largest errors there are over all splats: of positions in units of the scene, of scales in the natural logarithm of a standard
+/// deviation (0.01 is 1 %), of opacity and of the colour without bands in parts of the range from 0 to 1. Colours beyond that range, which formats
+/// of 8 bits clip, are where the latter is large.
+///
 /// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
 /// unknown extensions, as long as its scene is whole: moving it without mirroring and --no-cameras leave it so, other edits and
 /// joining do not.
@@ -193,10 +197,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     bar.inc(1);
     bar.set_message(format!("writing {}", one_line(&files.output.display().to_string())));
+    let replaced = replaced(args, files);
     let mut report = write(args, files, &edited)?;
     // That of one input is not that of all.
     report.loss.record |= edited.record.is_none() && inputs.iter().any(|input| input.has_record);
-    report.notes.extend(idle(args, &inputs));
+    report.notes.extend(idle(args, &inputs).into_iter().chain(replaced));
+    report.notes.extend(larger(files, &edited, report.bytes));
     bar.finish_and_clear();
     let outcome = Outcome {
         output: files.output,
@@ -212,7 +218,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
         beside: &report.beside,
         notes: &report.notes,
     };
-    if args.messages.json { output::print_json(&outcome) } else { output::print(&described(&outcome)) }
+    if args.messages.json {
+        return output::print_json(&outcome);
+    }
+    for input in &inputs {
+        input.notes.iter().for_each(|note| output::note(&format!("{}: {note}", input.file.display())));
+    }
+    report.notes.iter().for_each(|note| output::note(&format!("{}: {note}", files.output.display())));
+    output::print(&described(&outcome))
 }
 
 /// All inputs as one scene in the frame of captures, and what is to be said about them.
@@ -275,6 +288,32 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
         input.notes.extend(overruled.map(|what| format!("left out on joining: its own {what}")));
     }
     Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
+}
+
+/// Says so where the second of two names, as shells make them of `*.ply`, is that of a scene of the same kind, which is gone.
+fn replaced(args: &Args, Files { inputs, output }: Files<'_>) -> Option<String> {
+    let [input] = inputs else { return None };
+    let is_alike = input.extension().is_some() && input.extension() == output.extension();
+    let is_lost = args.output.is_none() && is_alike && output.is_file() && !output::is_same(input, output);
+    is_lost.then(|| "was there before, and is replaced: of two names the second is written".to_owned())
+}
+
+/// How many times as large as what it was made of a glTF is that is noted: where pictures of a few kilobytes have become maps.
+const LARGER: u64 = 10;
+
+/// Says why a glTF that is written anew is so much larger than it was.
+fn larger(Files { inputs, output }: Files<'_>, edited: &Edited, bytes: u64) -> Option<String> {
+    if edited.scene.meshes.is_empty() || !gltf::is_named(output) || bytes < 1 << 18 {
+        return None;
+    }
+    // An output may have taken the place of an input, and is as large as itself.
+    let before: u64 = inputs.iter().filter_map(|input| format::stored_bytes(input).ok()).sum();
+    (bytes >= LARGER * before.max(1)).then(|| {
+        format!(
+            "is {} times as large as what it was made of: pictures have become maps of floats",
+            bytes / before.max(1)
+        )
+    })
 }
 
 /// Says so where `--drop-invalid` is given for inputs that are read whole or not at all.
@@ -375,7 +414,6 @@ fn described(o: &Outcome<'_>) -> String {
         if input.dropped > 0 {
             lines.push(format!("{}: dropped {}", input.file.display(), counted(input.dropped, "invalid splat")));
         }
-        lines.extend(input.notes.iter().map(|note| format!("note: {}: {note}", input.file.display())));
     }
     for step in o.steps {
         let mut parts = vec![];
@@ -390,14 +428,14 @@ fn described(o: &Outcome<'_>) -> String {
     let noted = o.inputs.iter().any(|input| !input.notes.is_empty());
     let also = if noted && o.loss.to_string() == Loss::default().to_string() { " but what the notes say" } else { "" };
     lines.push(format!("lost: {}{also}", o.loss));
-    lines.extend(o.notes.iter().map(|note| format!("note: {}: {note}", o.output.display())));
     let mut parts = vec![format!("{} of SH degree {}", counted(o.splats, "splat"), o.sh_degree)];
     for (count, what) in [(o.meshes, "mesh(es)"), (o.cameras, "camera(s)")] {
         if count > 0 {
             parts.push(format!("{count} {what}"));
         }
     }
-    lines.push(format!("{}: {}, {} bytes", o.output.display(), parts.join(", "), o.bytes));
+    let in_all = if o.beside.is_empty() { "" } else { " in all" };
+    lines.push(format!("{}: {}, {} bytes{in_all}", o.output.display(), parts.join(", "), o.bytes));
     if !o.beside.is_empty() {
         lines.push(format!("beside it: {}", o.beside.join(", ")));
     }

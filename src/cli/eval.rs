@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result};
-use centaur::capture::{Capture, View};
+use centaur::capture::{Capture, View, is_capture};
 use centaur::evaluate::{Evaluator, held_out};
 use centaur::format::{ReadOptions, atomic_write, read_file, some_of, stored_bytes};
 use centaur::metrics::{
@@ -18,9 +18,11 @@ use glam::DQuat;
 use image::{ImageBuffer, PixelWithColorType};
 
 use super::history::Record;
+use super::interrupt;
 use super::output;
 use super::progress::Views;
 use super::shared::{self, AdapterArgs, Backdrop, CaptureArgs, MessageArgs};
+use super::usage;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -76,6 +78,11 @@ impl LpipsArgs {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.output.as_deref().map_or(Ok(()), output::check_folder)?;
+    let are_swapped = args.capture.is_file() && is_capture(&args.scene);
+    usage::demand(
+        !are_swapped,
+        format!("{} is a capture, {} is none: expected SCENE CAPTURE", args.scene.display(), args.capture.display()),
+    )?;
     let file = read_file(&args.scene, &ReadOptions::default())?;
     let training = file.record.as_ref().and_then(Record::read);
     drop(file.source);
@@ -90,7 +97,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
     notes.extend(training.as_ref().and_then(|training| saw(training, &file.cameras, &capture)));
-    notes.extend(training.as_ref().and_then(|training| training.other_masks(&capture)));
+    let other_masks = training.as_ref().and_then(|training| training.other_masks(&capture));
+    notes.extend(other_masks.or_else(|| args.loading.idle_masks(&args.capture)));
     // Cameras of other programs may have no size of their own.
     notes.extend(training.as_ref().and_then(|_| other_names(&file.cameras, &capture)));
     notes.extend(training.as_ref().and_then(|_| other_size(&file.cameras, &capture)));
@@ -115,16 +123,28 @@ pub(super) fn run(args: &Args) -> Result<()> {
             settings: &training.as_ref().map_or_else(Vec::new, Record::settings),
             training: training.as_ref(),
             messages: &args.messages,
-            stop: &AtomicBool::new(false),
+            stop: &interrupt::stop_flag(),
         },
     )?;
-    // Nothing sets that flag: Ctrl-C ends the program.
-    let Some(evaluation) = evaluation else { return Ok(()) };
+    let Some(evaluation) = evaluation else { return report_interruption(args, &notes) };
     if args.messages.json {
         output::print_json(&Noted { evaluation: &evaluation, notes: &notes })
     } else {
         output::print(evaluation.to_string().trim_end())
     }
+}
+
+/// Of a report that was begun pictures are there, and nothing that tells of all views.
+fn report_interruption(args: &Args, notes: &[String]) -> Result<()> {
+    interrupt::stopped(if args.messages.json {
+        output::print_json(&serde_json::json!({ "outcome": "interrupted", "notes": notes }))
+    } else {
+        let left = args.output.as_ref().map_or_else(
+            || "nothing is scored".to_owned(),
+            |folder| format!("{} has pictures of the views up to here, and no report", folder.display()),
+        );
+        output::print(&format!("stopped; {left}"))
+    })
 }
 
 /// What `--json` prints.

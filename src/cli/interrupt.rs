@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result};
 use centaur::atomic;
 
+use super::output;
+
 /// Of a terminal that goes away, or a connection to it.
 const SIGHUP: i32 = 1;
 /// Of Ctrl-C, wherever there are signals.
@@ -19,7 +21,9 @@ const ONE_WISH: Duration = Duration::from_millis(300);
 /// How to ask a command that stops by itself.
 struct Stop {
     flag: Arc<AtomicBool>,
-    /// By which signal it was asked first, and when.
+    /// By which signal it was asked first.
+    by: Option<i32>,
+    /// Which signal, of those that end it when they come once more, was the first, and when.
     asked: Option<(i32, Instant)>,
 }
 
@@ -59,8 +63,28 @@ fn ignores_hangups() -> bool {
 /// A flag for the command to poll, which the next signal sets rather than end the program; the one after that ends it.
 pub(super) fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::default();
-    *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some(Stop { flag: Arc::clone(&flag), asked: None });
+    *STOP.lock().unwrap_or_else(PoisonError::into_inner) =
+        Some(Stop { flag: Arc::clone(&flag), by: None, asked: None });
     flag
+}
+
+/// The end of a command that has stopped because it was asked to, and has said so: nothing is left to be printed.
+#[derive(Debug, thiserror::Error)]
+#[error("stopped")]
+pub(super) struct Stopped {
+    /// As of a program that the signal has ended.
+    pub(super) exit_code: u8,
+}
+
+/// The end of one whose last words are `printed`, also where nobody reads them: by the signal that asked, or as if by Ctrl-C where none did.
+pub(super) fn stopped(printed: Result<()>) -> Result<()> {
+    match printed {
+        Err(error) if !output::is_read_enough(&error) => Err(error),
+        _ => {
+            let by = STOP.lock().unwrap_or_else(PoisonError::into_inner).as_ref().and_then(|stop| stop.by);
+            Err(Stopped { exit_code: u8::try_from(128 + by.unwrap_or(SIGINT)).unwrap_or(u8::MAX) }.into())
+        }
+    }
 }
 
 /// Says on stderr that the signal was heard, since a step may take minutes; with --quiet, too, which is of what nobody asked for. By a thread
@@ -82,6 +106,8 @@ fn obey(signal: i32) {
         // A terminal that goes away hangs up by itself and by its shell, and whoever ends a session terminates what is left: no second wish.
         let is_one_wish = |&mut (by, at): &mut (i32, Instant)| signal == by && at.elapsed() < ONE_WISH;
         if signal == SIGHUP || is_one_wish(stop.asked.get_or_insert_with(|| (signal, Instant::now()))) {
+            // Before the command can see that it was asked.
+            stop.by = stop.by.or(Some(signal));
             if !stop.flag.swap(true, Ordering::Relaxed) {
                 acknowledge();
             }

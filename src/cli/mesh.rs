@@ -98,16 +98,24 @@ pub(super) fn run(args: &Args) -> Result<()> {
         (None, Some(splats)) => from_splats(splats, &capture, args, &mut notes)?,
         (None, None) => from_points(&capture, args, &mut notes)?,
     };
+    let left = made.steps.simplified;
+    if left > args.triangles {
+        notes.push(format!(
+            "{}: {left} triangles are left, more than the {} of --triangles: pieces and holes of a surface all stay",
+            args.output.display(),
+            args.triangles
+        ));
+    }
     if !args.messages.json {
         notes.iter().for_each(|note| output::note(note));
     }
     let (mesh, charts) = unwrapped(&made, args)?;
     let scene = HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition: Composition::default() };
-    gltf::write_glb(&args.output, &scene, &[], None)?;
+    let bytes = gltf::write_glb(&args.output, &scene, &[], None)?;
     // The surface is there, also where it cannot be compared.
     let distance = truth.map(|(file, truth)| compare(&made.surface, file, &truth, args, &capture)).transpose()?;
     let seen = seen_part(&scene.meshes[0], args.texture_size.min(SEEN_AT) as usize, &capture)?;
-    let outcome = Outcome { made, charts, seen, distance, notes };
+    let outcome = Outcome { made, charts, seen, distance, bytes, notes };
     if args.messages.json { outcome.print_json(args) } else { outcome.print(args) }
 }
 
@@ -126,14 +134,17 @@ struct Outcome {
     seen: f64,
     /// From and to the truth, if that is given.
     distance: Option<SurfaceDistance>,
+    /// Length of the file.
+    bytes: u64,
     notes: Vec<String>,
 }
 
 impl Outcome {
     fn print_json(&self, args: &Args) -> Result<()> {
-        let Self { made: Made { steps, origin, .. }, charts, seen, distance, notes } = self;
+        let Self { made: Made { steps, origin, .. }, charts, seen, distance, bytes, notes } = self;
         output::print_json(&serde_json::json!({
             "surface": args.output,
+            "bytes": bytes,
             "notes": notes,
             "origin": origin,
             "views": steps.views, "unbounded": steps.contraction.is_some(), "holes_closed": steps.holes,
@@ -150,7 +161,7 @@ impl Outcome {
     }
 
     fn print(&self, args: &Args) -> Result<()> {
-        let Self { made, charts, seen, distance, .. } = self;
+        let Self { made, charts, seen, distance, bytes, .. } = self;
         if let Some(distance) = distance {
             output::print(&format!(
                 "to the truth {:.5} on average, from it {:.5}, Chamfer distance {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
@@ -167,7 +178,7 @@ impl Outcome {
         output::print(&format!(
             "{}\n\
              {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels\n\
-             wrote {}",
+             wrote {}: {} triangles, {bytes} bytes",
             made.in_words(),
             charts.charts,
             100.0 * charts.coverage,
@@ -175,22 +186,24 @@ impl Outcome {
             100.0 * charts.mean_density,
             100.0 * charts.min_density,
             100.0 * seen,
-            args.output.display()
+            args.output.display(),
+            made.steps.simplified,
         ))
     }
 }
 
 impl Made {
+    /// How it came to be, up to its simplification.
     fn in_words(&self) -> String {
         let steps = &self.steps;
         if self.origin == SurfaceOrigin::Given {
             return format!(
-                "triangles: {} read, {} kept (holes closed: {}), {} after simplification",
-                steps.extracted, steps.cleaned, steps.holes, steps.simplified
+                "triangles: {} read, {} kept (holes closed: {})",
+                steps.extracted, steps.cleaned, steps.holes
             );
         }
         format!(
-            "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping (holes closed: {}), {} not rough, {} after simplification\n\
+            "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping (holes closed: {}), {} not rough\n\
              planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}",
             steps.views,
             if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },
@@ -198,7 +211,6 @@ impl Made {
             steps.cleaned,
             steps.holes,
             steps.even,
-            steps.simplified,
             steps.planar.planes,
             100.0 * steps.planar.before as f64 / steps.even as f64,
             steps.planar.before,

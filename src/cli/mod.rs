@@ -1,5 +1,5 @@
 //! One file per subcommand. Exit codes: 0 done, 1 failure, which the last line on stderr tells, 2 wrong usage, 3 jobs of
-//! `bench` that another runner is at.
+//! `bench` that another runner is at, 128 + n stopped by signal n.
 
 mod bench;
 mod cameras;
@@ -26,7 +26,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, Result};
 use centaur::format;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 const FIRST_STEPS: &str = "\
 First steps:
@@ -35,7 +35,7 @@ First steps:
   centaur render scene.glb -o frames                    # pictures
   centaur convert scene.glb scene.ply --no-mesh         # splats for other programs
 
-Exit codes: 0 done (a training that is stopped has saved a checkpoint or its scene), 1 failure (the last line on stderr, which begins with `error:`, says why), 2 wrong usage, 3 jobs of bench that another runner is at.";
+Exit codes: 0 done, 1 failure (the last line on stderr, which begins with `error:`, says why), 2 wrong usage, 3 jobs of bench that another runner is at, 130 stopped by Ctrl-C (129 and 143 by SIGHUP and SIGTERM; a training has saved a checkpoint or its scene then).";
 
 /// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
 #[derive(Parser)]
@@ -58,6 +58,24 @@ enum Command {
     Mesh(mesh::Args),
     Bench(Box<bench::Args>),
     Devices(devices::Args),
+}
+
+impl Cli {
+    /// The arguments, of which the first is the program.
+    fn of(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        let mut command = with_numbers_below_zero(Self::command());
+        let matches = command.try_get_matches_from_mut(arguments)?;
+        Self::from_arg_matches(&matches).map_err(|e| e.format(&mut command))
+    }
+}
+
+/// Numbers below zero are values of every option, whose parser says what it takes, and no flags that nobody has given.
+fn with_numbers_below_zero(command: clap::Command) -> clap::Command {
+    let command = command.mut_args(|arg| {
+        let takes_one = !arg.is_positional() && arg.get_action().takes_values();
+        if takes_one { arg.allow_negative_numbers(true) } else { arg }
+    });
+    command.mut_subcommands(with_numbers_below_zero)
 }
 
 impl Command {
@@ -85,7 +103,7 @@ const LEFT_TO_ANOTHER: u8 = 3;
 
 pub(crate) fn main() -> ExitCode {
     // What clap knows to be wrong usage ends here with exit code 2.
-    let command = Cli::parse().command;
+    let command = Cli::of(std::env::args_os()).unwrap_or_else(|e| e.exit()).command;
     let result = names_for_json(std::env::args_os())
         .and_then(|()| interrupt::handle())
         .and_then(|()| start_threads())
@@ -94,6 +112,9 @@ pub(crate) fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) if output::is_read_enough(&e) => ExitCode::SUCCESS,
         Err(e) => {
+            if let Some(stopped) = e.downcast_ref::<interrupt::Stopped>() {
+                return ExitCode::from(stopped.exit_code);
+            }
             // Nothing is left to be done if stderr is gone too.
             let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
             if usage::is_wrong(&e) {
@@ -143,14 +164,29 @@ fn one_line(error: &anyhow::Error) -> String {
 #[cfg(test)]
 mod tests {
     use anyhow::anyhow;
-    use clap::CommandFactory as _;
     use clap::error::ErrorKind;
 
     use super::*;
 
     #[test]
     fn arguments_are_consistent() {
-        Cli::command().debug_assert();
+        with_numbers_below_zero(Cli::command()).debug_assert();
+    }
+
+    #[test]
+    fn numbers_below_zero_are_told_what_is_taken() {
+        for (words, said) in [
+            ("cameras orbit a -o b.glb --frames -3", "-3 is not in 1..=36000"),
+            ("train a -o b.glb --iterations -5", "-5 is not in 1.."),
+            ("train a -o b.glb --iterations 0", "0 is not in 1.."),
+            ("train a -o b.glb --seed -1", "expected a whole number from 0"),
+            ("bench a -o b --seeds -1", "expected a whole number from 0"),
+            ("mesh a -o b.glb --truth c --within -1", "expected a number above 0"),
+            ("convert a.ply b.ply --decimate -2", "expected a number of splats"),
+        ] {
+            let error = Cli::of(["centaur"].into_iter().chain(words.split(' ')).map(OsString::from)).err().unwrap();
+            assert!(error.exit_code() == 2 && error.to_string().contains(said), "{words}: {error}");
+        }
     }
 
     /// The words of a command and of all below it, as of `centaur cameras orbit`.

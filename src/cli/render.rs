@@ -1,6 +1,7 @@
 mod write;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, Result, bail};
 use centaur::format::gltf::Source;
@@ -10,6 +11,7 @@ use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Pictu
 use centaur::scene::{Camera, HybridScene};
 use clap::ValueEnum;
 
+use super::interrupt;
 use super::output;
 use super::progress::Views;
 use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, MessageArgs, PictureArgs, SamplingArgs};
@@ -18,6 +20,7 @@ use super::{usage, video};
 const EXAMPLES: &str = "\
 Examples:
   centaur render garden.glb -o frames
+  centaur render biker.spz -o from-around
   centaur render garden.glb --cameras captures/mipnerf360/garden --downscale 4 -o frames
   centaur render garden.glb --cameras shot/transforms.json --format exr -o frames
   centaur render garden.glb --cameras orbit.glb -o frames --video orbit.mp4
@@ -40,7 +43,7 @@ the background:
                               `centaur inspect` has it: negate Y and Z for the world of glTF and USD
   count.splats                splats that contribute to the pixel";
 
-/// Render a scene from given cameras
+/// Render a scene from given cameras, or where it has none from all around
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -48,6 +51,9 @@ pub(super) struct Args {
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
     /// `embedded` (cameras in the scene's file), or a file or folder that has some
+    ///
+    /// A scene without cameras is seen from 8 places in a ring about it, `view_0` to `view_7`, in pictures of 1024×768, as `centaur cameras
+    /// orbit` goes around it.
     ///
     /// A capture or COLMAP model (folder), nerfstudio's `transforms*.json` or `camera_path.json`; photographs are not needed
     /// where the size of images is stated. Or a .glb, .gltf, .usda, .usdc or .usdz: cameras that are animated, by themselves or by
@@ -208,15 +214,31 @@ impl Args {
         if self.is_embedded() { &self.scene } else { &self.cameras }
     }
 
+    /// Cameras around a scene that has none. Where nothing says what is too near to be shown, that is little beside the scene.
+    fn around(&self, file: &mut SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        let (mut shot, radius) = self.loading.cameras_around(&self.scene, file, sampling)?;
+        let near = &mut file.scene.composition.near;
+        if !file.states_composition {
+            *near = near.min(0.1 * radius as f32).max(f32::MIN_POSITIVE);
+        }
+        shot.notes.push(format!(
+            "holds no cameras: seen from {} around it; --cameras takes those of another file, `centaur cameras orbit` makes a path",
+            output::counted(shot.cameras.len(), "place")
+        ));
+        Ok(shot)
+    }
+
     /// Cameras in the frame of the scene, with times where they are frames of a path or of a span.
-    fn shot(&self, file: &SceneFile) -> Result<CameraFile> {
+    fn shot(&self, file: &mut SceneFile) -> Result<CameraFile> {
         let sampling = Sampling { time: self.moment(), ..self.sampling.sampling() };
-        let mut shot = match &file.source {
-            _ if self.is_embedded() && file.cameras.is_empty() => {
-                bail!("{}: holds no cameras: say --cameras PATH", self.scene.display())
+        let has_none = self.is_embedded() && file.cameras.is_empty();
+        let around = has_none.then(|| self.around(file, &sampling)).transpose()?;
+        let mut shot = match (around, &file.source) {
+            (Some(around), _) => around,
+            (None, Some(document)) if self.is_embedded() => {
+                self.loading.cameras_of(document, self.source(), &sampling)?
             }
-            Some(document) if self.is_embedded() => self.loading.cameras_of(document, self.source(), &sampling)?,
-            _ => self.loading.cameras(self.source(), &sampling)?,
+            (None, _) => self.loading.cameras(self.source(), &sampling)?,
         };
         if shot.y_up != file.y_up {
             let (theirs, scenes) =
@@ -241,6 +263,10 @@ impl Args {
                 format!("its cameras are no frames of a path: {flag} gives them no times, and the scene is shown as it rests")
             }));
         }
+        let times = shot.times.first().zip(shot.times.last());
+        let played = moving.filter(|_| self.moment().is_none()).zip(times);
+        let played = played.map_or_else(Vec::new, |(document, (first, last))| document.played([*first, *last]));
+        file.notes.extend(played);
         Ok(shot)
     }
 
@@ -260,13 +286,16 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(background) = args.look.background {
         file.scene.composition.background = background.color();
     }
-    let shot = args.shot(&file)?;
+    let shot = args.shot(&mut file)?;
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &shot.cameras))?;
     let gpu = args.adapter.open()?;
     let pictures = args.pictures(&shot);
     shared::spare_photographs(&pictures, args.source(), &args.loading.options())?;
     let _folder = output::Folder::make(&args.output)?;
-    draw(&gpu, &file, &shot, &pictures, args)?;
+    let drawn = draw(&gpu, &file, &shot, &pictures, args)?;
+    if drawn < pictures.len() {
+        return report_interruption(&pictures[..drawn], pictures.len(), args);
+    }
     let fps = shot.fps.unwrap_or(DEFAULT_FPS);
     let aspect = shot.cameras.first().map_or(1.0, |(_, camera)| video::aspect(camera));
     args.video.as_deref().map_or(Ok(()), |path| video::write(path, &pictures, fps, aspect))?;
@@ -285,13 +314,19 @@ fn moving(file: &SceneFile) -> Option<&Source> {
     file.source.as_ref().filter(|document| document.moves())
 }
 
-/// Renders the scene from every camera of the shot, posed anew at each time; where nothing says when a picture is taken, it rests.
-fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], args: &Args) -> Result<()> {
+/// Renders the scene from every camera of the shot, posed anew at each time; where nothing says when a picture is taken, it rests. How many
+/// pictures there are at the end: fewer than cameras if that was stopped.
+fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], args: &Args) -> Result<usize> {
+    let stop = interrupt::stop_flag();
     let (moving, composition) = (moving(file), &file.scene.composition);
     let poses: Vec<Camera> = shot.cameras.iter().map(|(_, camera)| *camera).collect();
     let mut progress = Views::new(&args.messages, "rendering", poses.len());
     let mut kept: Option<AnyRenderer<'_>> = None;
     for (i, ((name, camera), path)) in shot.cameras.iter().zip(pictures).enumerate() {
+        if stop.load(Ordering::Relaxed) {
+            progress.finish();
+            return Ok(i);
+        }
         let mut renderer = match (moving.zip(shot.times.get(i)), kept.take()) {
             (None, Some(same)) => same,
             (None, None) => AnyRenderer::new(gpu, &file.scene, &poses, &args.look)?,
@@ -313,7 +348,19 @@ fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], ar
         progress.advance();
     }
     progress.finish();
-    Ok(())
+    Ok(pictures.len())
+}
+
+/// Of pictures that were not made the folder may have those of an earlier render.
+fn report_interruption(drawn: &[PathBuf], all: usize, args: &Args) -> Result<()> {
+    interrupt::stopped(if args.messages.json {
+        output::print_json(&serde_json::json!({ "outcome": "interrupted", "pictures": drawn }))
+    } else {
+        let (folder, count) = (args.output.display(), drawn.len());
+        output::print(&format!(
+            "stopped; {folder}: {count} of {all} pictures, and what others of these were there before"
+        ))
+    })
 }
 
 /// Says if the last picture's number is followed by more in its folder: whoever takes the folder for one film has the end of another.
@@ -345,9 +392,9 @@ fn print(pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args
         let fps = shot.fps.unwrap_or(DEFAULT_FPS);
         lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), pictures.len() as f64 / fps));
     }
-    lines.extend(notes.iter().map(|note| format!("note: {}: {note}", args.scene.display())));
-    lines.extend(shot.notes.iter().map(|note| format!("note: {}: {note}", args.source().display())));
-    lines.extend(leftover(pictures).map(|note| format!("note: {}: {note}", args.output.display())));
+    notes.iter().for_each(|note| output::note(&format!("{}: {note}", args.scene.display())));
+    shot.notes.iter().for_each(|note| output::note(&format!("{}: {note}", args.source().display())));
+    leftover(pictures).iter().for_each(|note| output::note(&format!("{}: {note}", args.output.display())));
     output::print(&lines.join("\n"))
 }
 

@@ -3,13 +3,15 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context as _, Result, anyhow, bail};
+use centaur::atomic::folder_of;
 use centaur::capture::{self, Cameras, Capture, Downscale, FRAME_RATES, LoadOptions};
 use centaur::format::gltf::Source;
 pub(super) use centaur::format::picture_names;
-use centaur::format::{self, CameraFile, Sampling};
+use centaur::format::{self, CameraFile, Sampling, SceneFile};
+use centaur::path::{self, Overview};
 use centaur::render::gpu::Gpu;
-use centaur::scene::Intrinsics;
+use centaur::scene::{Camera, Intrinsics};
 
 /// A step that finds out by itself where there is something for it to do.
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -65,6 +67,13 @@ impl CaptureArgs {
     pub(super) fn options(&self) -> LoadOptions {
         LoadOptions { masks: self.masks, ..self.pictures.options() }
     }
+
+    /// Says so where there are masks beside the photographs, and none are wanted.
+    pub(super) fn idle_masks(&self, capture: &Path) -> Option<String> {
+        let folder = if capture.is_dir() { capture } else { folder_of(capture) };
+        let masks = folder.join("masks");
+        (!self.masks && masks.is_dir()).then(|| format!("{} is there: --masks uses it", masks.display()))
+    }
 }
 
 /// Which pictures of a capture are used, and at what size.
@@ -99,6 +108,17 @@ impl PictureArgs {
         Ok(resized(source.cameras(path, sampling)?, sampling, &self.options()))
     }
 
+    /// As [`cameras_around`].
+    pub(super) fn cameras_around(
+        &self,
+        path: &Path,
+        file: &SceneFile,
+        sampling: &Sampling<'_>,
+    ) -> Result<(CameraFile, f64)> {
+        let (cameras, radius) = cameras_around(path, file, sampling)?;
+        Ok((resized(cameras, sampling, &self.options()), radius))
+    }
+
     /// Cameras of a capture, a scene or a path, with or without photographs.
     pub(super) fn cameras(&self, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile> {
         read_cameras(path, sampling, &self.options())
@@ -108,9 +128,9 @@ impl PictureArgs {
 /// Which cameras of a file are used.
 #[derive(clap::Args)]
 pub(super) struct SamplingArgs {
-    /// Only the camera of this name [default: those that move, else all]
+    /// Only the camera of this name (or number, from 0); may be said several times [default: those that move, else all]
     #[arg(long, value_name = "NAME")]
-    camera: Option<String>,
+    camera: Vec<String>,
     /// Frames a second, of cameras that move and of films. Stills, such as a capture's photographs, get no times by it [default: what the
     /// file states, else 30]
     #[arg(long, value_name = "N", value_parser = frame_rate)]
@@ -119,7 +139,7 @@ pub(super) struct SamplingArgs {
 
 impl SamplingArgs {
     pub(super) fn sampling(&self) -> Sampling<'_> {
-        Sampling { fps: self.fps, only: self.camera.as_deref(), ..Sampling::default() }
+        Sampling { fps: self.fps, only: &self.camera, ..Sampling::default() }
     }
 }
 
@@ -152,6 +172,11 @@ pub(super) fn turned(y_up: bool) -> Option<String> {
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadOptions) -> Result<CameraFile> {
     let is_json = format::has_extension(path, &["json"]);
     if !(is_json || path.is_dir()) {
+        let stem = path.file_stem().unwrap_or_default();
+        let is_of_model = ["cameras", "images", "frames", "points3D"].iter().any(|name| stem == *name);
+        if is_of_model && format::has_extension(path, &["bin", "txt"]) {
+            bail!("{}: is a part of a COLMAP model: give the folder, {}", path.display(), folder_of(path).display());
+        }
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
     let Cameras { mut cameras, fps: stated, y_up, passed_over: others, .. } = capture::cameras(path, options)?;
@@ -159,18 +184,33 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     // Only a path states a rate, whichever it is read at. A frame of it has the time of its place in the whole, also where it is the only one
     // wanted; photographs, and other stills, have none.
     let mut times = stated.and(fps).map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
-    if let Some(only) = sampling.only {
-        let wanted: Vec<bool> = cameras.iter().map(|(name, _)| name == only).collect();
-        ensure!(
-            wanted.contains(&true),
-            "{}: expected a camera called {only}, found {}",
-            path.display(),
-            format::some_of(cameras.iter().map(|(name, _)| &name[..]))
-        );
-        retain_rows(&mut cameras, &wanted);
-        retain_rows(&mut times, &wanted);
-    }
+    let wanted = picked(path, &cameras, sampling)?;
+    retain_rows(&mut cameras, &wanted);
+    retain_rows(&mut times, &wanted);
     Ok(CameraFile { cameras, fps, y_up, times, notes: passed_over(&others) })
+}
+
+/// From how many places a scene without cameras is seen.
+pub(super) const PLACES: usize = 8;
+
+/// Cameras in a ring around what a scene shows that has none, in the frame of its file, and the radius of that.
+pub(super) fn cameras_around(path: &Path, file: &SceneFile, sampling: &Sampling<'_>) -> Result<(CameraFile, f64)> {
+    let named = || path.display().to_string();
+    let Overview { views, radius } = path::overview(&file.scene, PLACES).with_context(named)?;
+    let mut cameras: Vec<_> = views.into_iter().enumerate().map(|(i, view)| (format!("view_{i}"), view)).collect();
+    let wanted = picked(path, &cameras, sampling)?;
+    retain_rows(&mut cameras, &wanted);
+    let cameras = CameraFile { cameras, fps: None, y_up: false, times: vec![], notes: vec![] };
+    Ok((cameras.in_frame(file.y_up), radius))
+}
+
+/// Which of the cameras of `path` are asked for.
+fn picked(path: &Path, cameras: &[(String, Camera)], sampling: &Sampling<'_>) -> Result<Vec<bool>> {
+    let names: Vec<&str> = cameras.iter().map(|(name, _)| name.as_str()).collect();
+    sampling.picked(&names).map_err(|only| {
+        let found = format::some_of(names.iter().copied());
+        anyhow!("{}: expected a camera called {only}, found {found}", path.display())
+    })
 }
 
 /// Keeps the rows that are wanted; of none, none.

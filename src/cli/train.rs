@@ -39,11 +39,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
         format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.path().display())
     }));
     told.extend(args.report.as_deref().and_then(|folder| eval::leftover(folder, &capture)));
+    let had_scene = args.output.exists();
+    // What goes on may have written it itself, before its scores.
+    if had_scene && !args.resume {
+        told.push(format!("{}: is there, and is replaced when this training is done", args.output.display()));
+    }
     tell(&told, args);
     let trained = train(args, (&capture, mesh, &options), &gpu, &stop, aside)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         let checkpoint = args.checkpoint();
         let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
+        if had_scene {
+            let earlier = format!("{}: is still that of an earlier run", args.output.display());
+            tell(std::slice::from_ref(&earlier), args);
+            told.push(earlier);
+        }
         return report_interruption(args, &[("checkpoint", &checkpoint)], &line, &told);
     }
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
@@ -220,7 +230,7 @@ fn print_json(
 fn print(args: &Args, trained: &Trained, evaluation: Option<&Evaluation>) -> Result<()> {
     evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
     notes::moved(trained).map_or(Ok(()), |moved| output::print(&format!("poses: {moved}")))?;
-    notes::at_the_end(args, trained).map_or(Ok(()), |note| output::print(&format!("note: {note}")))?;
+    notes::at_the_end(args, trained).iter().for_each(|note| output::note(note));
     output::print(&format!("wrote {}", args.output.display()))
 }
 
@@ -236,12 +246,14 @@ fn set_aside(args: &Args) -> Result<Option<Aside>> {
     Ok(Some(Aside::set(checkpoint, name).context(cannot)?))
 }
 
-/// Ctrl-C is no failure: the work so far is in files, which are named and described.
+/// What was done before Ctrl-C is in files, which are named and described. An error, so that what a shell has after `&&` does not go on with less
+/// than it was to have.
 fn report_interruption(args: &Args, files: &[(&str, &PathBuf)], line: &str, notes: &[String]) -> Result<()> {
-    if args.messages.json {
+    interrupt::stopped(if args.messages.json {
         let mut said = serde_json::json!({ "outcome": "interrupted", "notes": notes });
         files.iter().for_each(|(kind, file)| said[*kind] = serde_json::json!(file));
-        return output::print_json(&said);
-    }
-    output::print(&format!("stopped; {line}"))
+        output::print_json(&said)
+    } else {
+        output::print(&format!("stopped; {line}"))
+    })
 }

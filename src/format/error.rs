@@ -7,6 +7,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use super::cameras::NO_CAMERAS;
+use super::has_extension;
 use crate::scene::SceneError;
 
 /// Why a file could not be read or written. One line: the file, where in it, what was expected, what was found.
@@ -41,6 +43,14 @@ pub enum FormatError {
         /// What was there.
         found: String,
     },
+}
+
+impl FormatError {
+    /// Whether nothing else is wrong with a file whose cameras were to be read than that it holds none, or none that are pinholes.
+    #[must_use]
+    pub fn is_lack_of_cameras(&self) -> bool {
+        matches!(self, Self::Content { expected, .. } if NO_CAMERAS.contains(&expected.as_str()))
+    }
 }
 
 /// A place in a file. Displays as a prefix of a message: `byte 1204: `.
@@ -158,10 +168,15 @@ impl Fault {
     }
 
     /// `means` and 17 of `means[17]`.
-    fn element(&self) -> Option<(String, usize)> {
+    pub(crate) fn element(&self) -> Option<(String, usize)> {
         let Location::Field(field) = &self.location else { return None };
         let (name, index) = field.strip_suffix(']')?.rsplit_once('[')?;
         Some((name.to_owned(), index.parse().ok()?))
+    }
+
+    /// The same, with what to do about it.
+    pub(crate) fn with_advice(self, advice: &str) -> Self {
+        Self { found: format!("{}; {advice}", self.found), ..self }
     }
 
     /// The same in a member of a zip.
@@ -256,6 +271,15 @@ pub(crate) fn shown(text: &[u8]) -> String {
     format!("`{}{cut}`", text.chars().take(MOST).flat_map(char::escape_debug).collect::<String>())
 }
 
+/// As [`unknown`], of a file that is no scene.
+pub(crate) fn no_scene(path: &Path, start: &[u8]) -> &'static str {
+    if has_extension(path, &["obj"]) {
+        "an OBJ, which holds a mesh alone: `centaur train --mesh` and `centaur mesh --mesh` take it"
+    } else {
+        unknown(start)
+    }
+}
+
 /// What a file is that begins like none that can be read. Editors of Windows put a mark before text, or write it in UTF-16: both look right there.
 pub(crate) fn unknown(start: &[u8]) -> &'static str {
     match start {
@@ -266,12 +290,27 @@ pub(crate) fn unknown(start: &[u8]) -> &'static str {
     }
 }
 
+/// What a folder is that was given in place of a file.
+fn folder_in_words(path: &Path) -> String {
+    let has = |names: &[&'static str]| names.iter().copied().find(|name| path.join(name).exists());
+    if let Some(name) = has(&["lod-meta.json", "meta.json"]) {
+        return format!("a folder with a SOG: give its {name}");
+    }
+    match has(&["sparse", "colmap", "transforms.json", "transforms_train.json", "cameras.bin", "cameras.txt"]) {
+        Some(name) => format!("a folder with {name}, as of a capture"),
+        None => "a folder".to_owned(),
+    }
+}
+
 /// The file, to be read piece by piece.
 pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatError> {
     let failed = |source| FormatError::Read { file: path.to_owned(), source };
     // Before it is opened, which of a pipe waits for somebody to write.
     let kind = path.metadata().map_err(failed)?.file_type();
-    if !kind.is_file() && !kind.is_dir() {
+    if kind.is_dir() {
+        return Err(Fault::whole("a file", folder_in_words(path)).in_file(path));
+    }
+    if !kind.is_file() {
         return Err(failed(std::io::Error::other("it is a device or a pipe, in which nothing can be read twice")));
     }
     let file = std::fs::File::open(path).map_err(failed)?;

@@ -122,12 +122,12 @@ impl fmt::Display for Loss {
         }
         let e = self.max_error.beyond_rounding();
         let errors = [
-            (e.mean, "position", ""),
+            (e.mean, "position", " units"),
             (e.rotation, "rotation", "°"),
-            (e.log_scale, "log scale", ""),
-            (e.opacity, "opacity", ""),
-            (e.color, "colour", ""),
-            (e.sh, "SH", ""),
+            (e.log_scale, "scale", " in ln σ"),
+            (e.opacity, "opacity", " of 1"),
+            (e.color, "colour", " of 1"),
+            (e.sh, "SH coefficient", ""),
         ];
         let errors = errors.iter().filter(|(error, ..)| *error > 0.0);
         let errors: Vec<String> = errors.map(|(error, name, unit)| format!("{name} {error:.2e}{unit}")).collect();
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(
             loss.to_string(),
             "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; the record of the training; 2 animations; SH bands above degree 0 of 3; \
-             largest errors: position 1.20e-4, rotation 5.00e-1°"
+             largest errors: position 1.20e-4 units, rotation 5.00e-1°"
         );
         assert!(!loss.is_none());
     }

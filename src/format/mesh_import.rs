@@ -12,7 +12,7 @@ use super::error::{Fault, FormatError, Location, open_file, read_file, unknown};
 use super::gltf::instancing::{BYTES_OF_COPY, Single, copies};
 use super::gltf::triangles::{self, Triangles};
 use super::gltf::{Asset, Motion, Poses, not_placed, placements};
-use super::ply::table;
+use super::ply::{is_of_splats, table};
 use super::{has_extension, polygon};
 
 /// A mesh without maps.
@@ -219,6 +219,9 @@ fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
 fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
     let (header, mut body) = table::open(std::io::Cursor::new(bytes))?;
     let vertex = header.required("vertex")?;
+    if header.element("face").is_none() && is_of_splats(&header) {
+        return Err(Fault::byte(vertex.at, "a mesh, of vertices and faces", "splats, which have no faces"));
+    }
     let [x, y, z] = vertex.scalars(["x", "y", "z"])?;
     let names = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]];
     let uv_columns = names.into_iter().find_map(|n| vertex.scalars(n).ok());

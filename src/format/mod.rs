@@ -178,6 +178,6 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
         Ok(Kind::Gltf)
     } else {
         let expected = "a .glb, .gltf, .usda, .usdc, .usdz, .ply, .sog, .spz, .splat or .ksplat file";
-        Err(error::Fault::byte(0, expected, error::unknown(&start)).in_file(path))
+        Err(error::Fault::byte(0, expected, error::no_scene(path, &start)).in_file(path))
     }
 }

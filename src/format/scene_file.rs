@@ -200,6 +200,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
                 let broken = moving.and_then(|(moving, _)| moving.check().err());
                 let moving = moving.filter(|_| broken.is_none());
                 let mut report = blender::write(path, scene, options.cameras, moving)?;
+                report.notes.extend(moving.and_then(|(moving, _)| moving.overruled()));
                 report.notes.extend(broken.map(|fault| {
                     let (location, expected, found) = fault.into_parts();
                     format!(

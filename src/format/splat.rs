@@ -18,9 +18,9 @@ use glam::{Quat, Vec3};
 use super::blocks::{in_waves, read_in_blocks};
 use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
-use super::splat_record::{SplatRecord, color_bytes, dc_of_bytes, log_of_scale, logit_of_byte, opacity_byte};
+use super::splat_record::{DROPPING, SplatRecord, color_bytes, dc_of_bytes, log_of_scale, logit_of_byte, opacity_byte};
 use super::{FormatError, activation, atomic_write_with};
-use crate::scene::{SplatArrays, Splats};
+use crate::scene::{SceneError, SplatArrays, Splats};
 
 const BYTES: usize = 32;
 /// Splats that are encoded as one task.
@@ -84,8 +84,29 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splat
             arrays.extend(rows.len(), |i| splat(rows[i]));
         }
     })?;
-    let byte = |i: usize| Location::Byte((i * BYTES) as u64);
-    Ok((arrays.check().map_err(|e| Fault::from(e).of_element(byte))?, dropped))
+    Ok((arrays.check().map_err(|e| invalid(&mut file, e))?, dropped))
+}
+
+/// What is wrong with a splat that no scene holds, as it is stored.
+fn invalid(file: &mut (impl Read + Seek), error: SceneError) -> Fault {
+    const NAMES: [&str; 6] = ["x", "y", "z", "scale_0", "scale_1", "scale_2"];
+    let fault = Fault::from(error);
+    let Some((_, i)) = fault.element() else { return fault };
+    let (offset, mut row) = ((i * BYTES) as u64, [0u8; BYTES]);
+    let at = Location::Byte(offset);
+    let read = file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut row));
+    let (words, _) = row.as_chunks::<4>();
+    let values = NAMES.into_iter().zip(words.iter().map(|word| f32::from_le_bytes(*word)));
+    let of = |(name, value): (&str, f32)| format!("{value} as {name} of splat {i}");
+    let fault = if let Some(value) = values.clone().find(|(_, value)| !value.is_finite()) {
+        Fault::at(at, "finite numbers", of(value))
+    } else if let Some(value) = values.skip(3).find(|(_, scale)| *scale < 0.0) {
+        Fault::at(at, "scales of at least 0", of(value))
+    } else {
+        fault.of_element(|_| at)
+    };
+    // What was read before can be read again, as a rule.
+    if read.is_ok() { fault.with_advice(DROPPING) } else { fault }
 }
 
 fn encode(splat: &SplatRecord) -> [u8; BYTES] {
@@ -182,14 +203,17 @@ mod tests {
         let (mut bytes, _) = written(&random_splats(2, 0, 4));
         bytes[32..36].copy_from_slice(&f32::NAN.to_le_bytes());
         let message = |bytes: &[u8]| parse(bytes).unwrap_err().in_file(Path::new("a.splat")).to_string();
-        assert_eq!(message(&bytes), "a.splat: byte 32: expected finite numbers, found NaN in means[1]");
+        let advice = "; `centaur convert --drop-invalid` leaves such splats out";
+        let nan = "a.splat: byte 32: expected finite numbers, found NaN as x of splat 1";
+        assert_eq!(message(&bytes), format!("{nan}{advice}"));
         assert_eq!(
             message(&bytes[..63]),
             "a.splat: byte 32: expected 32 bytes per splat, found 31 bytes after splat 1"
         );
         bytes[32..36].fill(0);
         bytes[52..56].copy_from_slice(&(-0.5_f32).to_le_bytes());
-        assert_eq!(message(&bytes), "a.splat: byte 32: expected finite numbers, found NaN in log_scales[1]");
+        let negative = "a.splat: byte 32: expected scales of at least 0, found -0.5 as scale_2 of splat 1";
+        assert_eq!(message(&bytes), format!("{negative}{advice}"));
         let (left, dropped) = super::parse(Cursor::new(&bytes), true).unwrap();
         assert_eq!((left.len(), dropped), (1, 1), "a negative scale");
         bytes[28..32].fill(128);

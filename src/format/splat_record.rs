@@ -9,6 +9,9 @@ use crate::scene::{SplatArrays, Splats, sh};
 /// What a note says of splats that their file wants drawn as those of 2DGS.
 pub(super) const SEEN_IN_3D: &str = "splats are seen as 3DGS has them";
 
+/// What to do about splats that no scene holds, in files that can be read without them.
+pub(super) const DROPPING: &str = "`centaur convert --drop-invalid` leaves such splats out";
+
 /// One splat in the parameters of [`Splats`]. The rotation need not be normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SplatRecord {

@@ -214,9 +214,9 @@ impl Evaluation {
         rows.extend(m.file_bytes.map(|bytes| ("file", format!("{} bytes", thousands(bytes)))));
         let on = m.trained_on.as_ref().map_or_else(String::new, |name| format!(" on {name}"));
         rows.extend(m.training_seconds.map(|s| ("training time", format!("{s:.1} s{on}"))));
-        rows.extend(
-            m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s in the joint phase{on}"))),
-        );
+        // Splats alone have no other.
+        let phase = if self.triangles > 0 { " in the joint phase" } else { "" };
+        rows.extend(m.seconds_per_iteration.map(|s| ("time per iteration", format!("{s:.4} s{phase}{on}"))));
         rows.extend(m.fps.map(|f| ("frames per second", format!("{f:.1}"))));
         let peak = |bytes: Option<u64>, by: &str| bytes.map(|b| format!("{} MiB {by}", thousands(b.div_ceil(1 << 20))));
         let peaks = [peak(m.peak_gpu_bytes, "rendering"), peak(m.training_peak_gpu_bytes, &format!("training{on}"))];
@@ -342,12 +342,16 @@ pub(super) mod tests {
             peak_gpu_bytes: Some(2 << 20),
             ..Measured::default()
         };
-        let text = |measured: Measured| Evaluation { measured, ..example() }.to_string();
-        let there = text(Measured { trained_on: Some("another".to_owned()), ..measured.clone() });
-        for (text, on) in [(text(measured), ""), (there, " on another")] {
+        let text = |triangles, measured| Evaluation { triangles, measured, ..example() }.to_string();
+        let there = Measured { trained_on: Some("another".to_owned()), ..measured.clone() };
+        for (text, phase, on) in [
+            (text(2, measured.clone()), " in the joint phase", ""),
+            (text(2, there), " in the joint phase", " on another"),
+            (text(0, measured), "", ""),
+        ] {
             for part in [
                 format!("training time       61.0 s{on}\n"),
-                format!("time per iteration  0.2500 s in the joint phase{on}\n"),
+                format!("time per iteration  0.2500 s{phase}{on}\n"),
                 format!("peak GPU memory     2 MiB rendering, 3 MiB training{on}\n"),
             ] {
                 assert!(text.contains(&part), "{part}: {text}");

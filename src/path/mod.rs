@@ -1,8 +1,10 @@
 //! Camera paths through what was photographed: from posed views to the frames of a shot.
 //!
 //! All are in the world of the views, whatever it is; up is where the views have theirs. A path never holds a number that
-//! is not finite: views that say too little give an error, which names the option that says the rest.
+//! is not finite: views that say too little give an error, which names the option that says the rest. Of a scene without
+//! views [`overview()`] makes some.
 
+mod overview;
 mod rig;
 mod spline;
 #[cfg(test)]
@@ -12,6 +14,7 @@ use glam::DVec3;
 
 use crate::scene::{Camera, Intrinsics, SceneError, view_axes};
 use crate::stats::median_by;
+pub use overview::{Overview, overview};
 use rig::Rig;
 pub use spline::{Spline, spline};
 
@@ -68,6 +71,9 @@ pub enum PathError {
     /// Circle or figure would be a point.
     #[error("the views are on the axis through the focus: state the radius")]
     NoRadius,
+    /// A scene without views shows nothing either.
+    #[error("expected a scene to look at, found no splats and no meshes")]
+    Empty,
     /// The options do not make a camera.
     #[error("{0}")]
     Camera(#[from] SceneError),

@@ -1,10 +1,11 @@
 use std::f64::consts::{PI, TAU};
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Quat, Vec3};
 
 use super::rig::{Rig, symmetric_eigen};
 use super::*;
 use crate::render::testing::largest;
+use crate::scene::{Composition, HybridScene, Splats};
 
 const K: Intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 50.0, cx: 30.0, cy: 25.0 };
 
@@ -255,4 +256,40 @@ fn eigenvectors_are_those_of_the_matrix() {
         assert!((value - expected).abs() < 1e-12 && (matrix * vector).abs_diff_eq(vector * value, 1e-12));
         assert!((vector.length() - 1.0).abs() < 1e-12);
     }
+}
+
+/// Whatever floats far away, or cannot be seen.
+#[test]
+fn a_scene_without_views_is_seen_from_around_it() {
+    let middle = DVec3::new(10.0, -3.0, 5.0);
+    let mut means: Vec<DVec3> = (0..125)
+        .map(|i| middle + DVec3::new(f64::from(i % 5), f64::from(i / 5 % 5), f64::from(i / 25)) - DVec3::splat(2.0))
+        .collect();
+    let solid = means.clone();
+    means.extend([DVec3::splat(1e4), DVec3::splat(-1e6)]);
+    means.extend((0..100).map(|i| DVec3::new(500.0, f64::from(i), 0.0)));
+    let count = means.len();
+    let logits: Vec<f32> = (0..count).map(|i| if i < 127 { 3.0 } else { -20.0 }).collect();
+    let splats = Splats::new(
+        means.iter().map(|mean| mean.as_vec3()).collect(),
+        vec![Quat::IDENTITY; count],
+        vec![Vec3::splat(-3.0); count],
+        logits,
+        0,
+        vec![[0.0; 3]; count],
+    );
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    let Overview { views, radius } = overview(&scene, 8).unwrap();
+    assert!(views.len() == 8 && (2.0..5.0).contains(&radius), "{radius}");
+    for view in &views {
+        assert!(solid.iter().all(|&p| view.in_picture(view.to_camera(p)).is_some()));
+        assert!((view.center() - middle).y < 0.0 && view.rotation().row(1).y > 0.9);
+        assert!((forward(view).cross(middle - view.center())).length() < 0.2);
+    }
+    // Paths are made of them as of any.
+    let again = orbit(&views, &Around::default(), &frames(8)).unwrap();
+    assert!(again.iter().zip(&views).all(|(a, b)| a.center().abs_diff_eq(b.center(), 1e-6)));
+    assert!(all_finite(&spline(&views, &Spline { keys: None, closed: true }, &frames(20)).unwrap()));
+    let nothing = HybridScene { splats: Splats::empty(0), ..scene };
+    assert_eq!(overview(&nothing, 8).unwrap_err(), PathError::Empty);
 }

@@ -26,7 +26,9 @@ fn folder_with_capture(views: usize) -> tempfile::TempDir {
     folder
 }
 
+/// Without a scene of before, which would be noted.
 fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
+    let _ = std::fs::remove_file(folder.join("scene.glb"));
     let more: Vec<&str> = more.into_iter().collect();
     let mut command = centaur(folder);
     let has = |flag| more.contains(&flag);
@@ -171,6 +173,52 @@ fn poses_and_points_that_are_no_numbers() {
     );
     let line = refused(|c| edit(&c.join("sparse/0/points3D.txt"), |text| format!("{text}999 0 NaN 0 1 2 3 0.1\n")));
     assert!(line.starts_with("error: capture/sparse/0/points3D.txt: line 301: expected finite numbers"), "{line}");
+}
+
+#[test]
+fn models_without_their_cameras() {
+    let line = refused(|c| std::fs::remove_file(c.join("sparse/0/cameras.txt")).unwrap());
+    let expected = "COLMAP model: expected cameras.txt beside images.txt, found none: it is missing";
+    assert_eq!(line, format!("error: capture/sparse/0: {expected}"));
+}
+
+#[test]
+fn what_is_given_in_place_of_another_is_recognised() {
+    let folder = folder_with_capture(3);
+    let at = |name: &str| folder.path().join(name);
+    let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], vec![Vec3::ZERO], vec![0.0], 0, vec![[0.5; 3]]);
+    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    write_scene(&at("s.ply"), &scene, &WriteOptions::default()).unwrap();
+    let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n";
+    let faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    std::fs::write(at("mesh.ply"), [header, faces].concat()).unwrap();
+    std::fs::write(at("points.ply"), [header, "end_header\n0 0 0\n1 0 0\n0 1 0\n"].concat()).unwrap();
+    std::fs::write(at("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    std::fs::create_dir(at("sog")).unwrap();
+    std::fs::write(at("sog/meta.json"), "{}").unwrap();
+    for (args, file, said) in [
+        ("render capture -o r", "capture", "expected a file, found a folder with sparse, as of a capture"),
+        ("inspect sog", "sog", "expected a file, found a folder with a SOG: give its meta.json"),
+        ("convert sog a.glb", "sog", "expected a file, found a folder with a SOG: give its meta.json"),
+        ("inspect mesh.obj", "mesh.obj", "found an OBJ, which holds a mesh alone: `centaur train --mesh` and "),
+        ("convert mesh.ply a.glb", "mesh.ply", "with `f_dc_0` and more, found a mesh, no splats (`face`: 1)"),
+        ("convert points.ply a.glb", "points.ply", "with `f_dc_0` and more, found points, no splats"),
+        (
+            "train capture --mesh s.ply -o a.glb",
+            "s.ply",
+            "expected a mesh, of vertices and faces, found splats, which ",
+        ),
+        (
+            "render s.ply --cameras capture/sparse/0/images.txt -o r",
+            "capture/sparse/0/images.txt",
+            "is a part of a COLMAP model: give the folder, capture/sparse/0",
+        ),
+    ] {
+        let line = failure(folder.path(), centaur(folder.path()).args(args.split(' ')));
+        assert!(line.starts_with(&format!("error: {file}: ")) && line.contains(said), "{args}: {line}");
+    }
+    let line = common::wrong_usage(folder.path(), centaur(folder.path()).args(["eval", "capture", "s.ply"]));
+    assert_eq!(line, "error: capture is a capture, s.ply is none: expected SCENE CAPTURE");
 }
 
 #[test]
@@ -529,6 +577,20 @@ fn machines_without_an_adapter() {
     without_drivers(&mut command);
     let line = failure(folder.path(), &mut command);
     assert!(line.starts_with("error: no GPU adapter found: install "), "{line}");
+    // Of many jobs once.
+    std::fs::create_dir(folder.path().join("scenes")).unwrap();
+    for scene in ["one", "two"] {
+        std::os::unix::fs::symlink("../capture", folder.path().join("scenes").join(scene)).unwrap();
+    }
+    let mut command = centaur(folder.path());
+    command.args(["bench", "scenes", "-o", "out"]);
+    without_drivers(&mut command);
+    let line = failure(folder.path(), &mut command);
+    assert!(line.starts_with("error: no GPU adapter found: install "), "{line}");
+    let mut command = centaur(folder.path());
+    command.args(["bench", "scenes", "-o", "capture/images/000.png"]);
+    let line = failure(folder.path(), &mut command);
+    assert!(line.ends_with("capture/images/000.png is not a folder"), "{line}");
     let mut command = centaur(folder.path());
     command.args(["devices", "--json"]);
     without_drivers(&mut command);

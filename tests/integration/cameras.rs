@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::{centaur, failure, stderr, write_capture};
+use crate::common::{centaur, failure, said, stderr, tree, write_capture};
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::color::linear_to_srgb;
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 fn run(folder: &Path, args: &[&str]) -> String {
     let output = centaur(folder).args(args).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{args:?}: {}", stderr(&output));
-    String::from_utf8(output.stdout).unwrap()
+    said(&output)
 }
 
 /// A ball, red at x > 0 and blue at x < 0.
@@ -306,6 +306,54 @@ fn films_show_the_pictures() {
     assert_eq!(String::from_utf8(stdout_of("ffprobe", &entries)).unwrap().trim(), "2:1");
 }
 
+/// Splats of another program, and a model that is y up.
+#[test]
+fn scenes_without_cameras_are_seen_from_around_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for scene in ["ball.ply", "ball.glb"] {
+        write_ball(&at(scene), Composition::default());
+        let said = run(folder.path(), &["render", scene, "-o", "around", "--max-side", "64"]);
+        let note = format!("note: {scene}: holds no cameras: seen from 8 places around it; --cameras takes those of");
+        assert!(said.starts_with("around: 8 pictures\n") && said.contains(&note), "{said}");
+        for i in 0..8 {
+            let picture = image::open(at(&format!("around/view_{i}.png"))).unwrap().into_rgb8();
+            assert_eq!(picture.dimensions(), (64, 48));
+            let is_lit = |x: u32, y: u32| picture.get_pixel(x, y).0.iter().any(|c| *c > 100);
+            let is_in_the_middle = (20..44).any(|x| is_lit(x, 24));
+            assert!(is_in_the_middle && ![(0, 24), (63, 24), (32, 0), (32, 47)].iter().any(|&(x, y)| is_lit(x, y)));
+        }
+        for (kind, out) in [("orbit", "o.glb"), ("lemniscate", "l.json"), ("spline", "s.usda")] {
+            let said = run(folder.path(), &["cameras", kind, scene, "-o", out, "--frames", "3", "--size", "32x24"]);
+            let note = format!("note: {scene}: holds no cameras: the path goes by 8 around what it shows\n");
+            assert!(said.starts_with(&format!("{out}: 3 frames of 32×24")) && said.ends_with(&note), "{said}");
+        }
+    }
+    let theirs = "#usda 1.0\n( metersPerUnit = 1\n upAxis = \"Y\" )\ndef Mesh \"m\" {\n point3f[] points = [(-9, 90, 2), (9, 90, 0), (-1, 99, -3)]\n \
+                  int[] faceVertexCounts = [3]\n int[] faceVertexIndices = [0, 1, 2]\n}\n";
+    std::fs::write(at("theirs.usda"), theirs).unwrap();
+    run(folder.path(), &["cameras", "orbit", "theirs.usda", "-o", "up.json", "--frames", "4"]);
+    let path: serde_json::Value = serde_json::from_slice(&std::fs::read(at("up.json")).unwrap()).unwrap();
+    // Above it, and upright.
+    let pose = &path["frames"][0]["transform_matrix"];
+    assert!(pose[1][3].as_f64().unwrap() > 99.0 && pose[1][1].as_f64().unwrap() > 0.9, "{pose}");
+    let some = ["render", "ball.glb", "-o", "some", "--camera", "view_3", "--camera", "0", "--max-side", "32"];
+    run(folder.path(), &some);
+    let names = ["view_0.png", "view_3.png"].map(|name| at("some").join(name).display().to_string());
+    assert_eq!(tree(&at("some")), names);
+    // A path that was written into a scene is none of its cameras.
+    for _ in 0..2 {
+        run(folder.path(), &["cameras", "orbit", "ball.glb", "-o", "both.glb", "--with-scene", "--frames", "3"]);
+        std::fs::rename(at("both.glb"), at("ball.glb")).unwrap();
+    }
+    let said = run(folder.path(), &["render", "ball.glb", "-o", "path", "--max-side", "32"]);
+    assert!(said.starts_with("path: 3 pictures\n"), "{said}");
+    let empty = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
+    write_scene(&at("empty.ply"), &empty, &WriteOptions::default()).unwrap();
+    let line = failure(folder.path(), centaur(folder.path()).args(["render", "empty.ply", "-o", "no"]));
+    assert_eq!(line, "error: empty.ply: expected a scene to look at, found no splats and no meshes");
+}
+
 #[test]
 fn what_makes_no_path_is_one_line() {
     let folder = tempfile::tempdir().unwrap();
@@ -321,7 +369,7 @@ fn what_makes_no_path_is_one_line() {
     let two =
         one.replace("}] }", "}, { \"w\": 9, \"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }");
     std::fs::write(at("two.json"), two).unwrap();
-    let cases: [(&[&str], &str); 11] = [
+    let cases: [(&[&str], &str); 12] = [
         (
             &["cameras", "orbit", "capture", "-o", "ball.glb"],
             "ball.glb: holds a scene, which would be lost: expected another file",
@@ -337,8 +385,12 @@ fn what_makes_no_path_is_one_line() {
         ),
         (&["cameras", "orbit", "none", "-o", "a.glb"], "none: cannot read: No such file or directory"),
         (
-            &["cameras", "orbit", "ball.glb", "-o", "a.glb"],
-            "ball.glb: /cameras: expected cameras, found none that are pinholes",
+            &["cameras", "convert", "ball.glb", "-o", "a.glb"],
+            "ball.glb: /cameras: expected cameras, found none that are pinholes; `centaur cameras orbit` makes a path around any scene",
+        ),
+        (
+            &["render", "ball.glb", "-o", "a", "--cameras", "ball.glb"],
+            "ball.glb: /cameras: expected cameras, found none that are pinholes; `centaur cameras orbit` makes a path around any scene",
         ),
         (
             &["cameras", "convert", "orbit.glb", "-o", "no/a.json"],
@@ -349,10 +401,13 @@ fn what_makes_no_path_is_one_line() {
             "orbit.glb: /cameras: expected a camera called b, found path",
         ),
         (
-            &["render", "ball.glb", "--cameras", "capture", "-o", "a", "--camera", "002"],
-            "capture: expected a camera called 002, found 000.png, 001.png, 002.png, 003.png, 004.png, 005.png, 006.png, 007.png, …",
+            &["render", "ball.glb", "--cameras", "capture", "-o", "a", "--camera", "002.png", "--camera", "9"],
+            "capture: expected a camera called 9, found 000.png, 001.png, 002.png, 003.png, 004.png, 005.png, 006.png, 007.png, …",
         ),
-        (&["render", "ball.glb", "-o", "a"], "ball.glb: holds no cameras: say --cameras PATH"),
+        (
+            &["render", "ball.glb", "-o", "a", "--camera", "b"],
+            "ball.glb: expected a camera called b, found view_0, view_1, view_2, view_3, view_4, view_5, view_6, view_7",
+        ),
         (
             &["render", "ball.glb", "--cameras", "two.json", "-o", "a", "--video", "a.mp4"],
             "--video: expected pictures of one size, found 8×6 and 9×6 of frame_00001; --max-side or other cameras may help",

@@ -34,6 +34,11 @@ pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
+/// What a command has printed: results, and notes after them.
+pub(crate) fn said(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap() + &stderr(output)
+}
+
 /// Files and folders below `folder`, sorted.
 pub(crate) fn tree(folder: &Path) -> Vec<String> {
     let mut found = vec![];
@@ -63,10 +68,12 @@ fn refusal(folder: &Path, command: &mut Command, code: i32) -> String {
     let output = command.output().unwrap();
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{command:?}: {text}");
-    let one_line = text.starts_with("error: ") && text.lines().count() == 1;
-    assert!(output.stdout.is_empty() && one_line, "{command:?}: {text}");
+    let (notes, error): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with("note: "));
+    let is_one_line = error.len() == 1 && error[0].starts_with("error: ");
+    assert!(output.stdout.is_empty() && is_one_line, "{command:?}: {text}");
+    assert!(text.ends_with(&format!("{}\n", error[0])), "{command:?}: not the last line, after {notes:?}");
     assert_eq!(tree(folder), before, "{command:?} left something behind");
-    text.trim_end().to_owned()
+    error[0].to_owned()
 }
 
 /// A COLMAP text model of `count` cameras that look at a ball of coloured points from all around, and its pictures.

@@ -31,10 +31,17 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
         ("", "the scene was trained without masks, and is scored with"),
         (" --masks", "the scene was trained with masks, and is scored without"),
     ] {
-        assert_eq!(run(folder.path(), &format!("{train}{trained}"))["masks"], !trained.is_empty());
+        let outcome = run(folder.path(), &format!("{train}{trained}"));
+        let notes = outcome["notes"].to_string();
+        assert_eq!(outcome["masks"], !trained.is_empty());
+        assert_eq!(notes.contains("capture/masks is there: --masks uses it"), trained.is_empty(), "{notes}");
         for scored in ["", " --masks"] {
             let scores = run(folder.path(), &format!("eval scene.glb capture -o scores{scored}"));
-            let expected = if scored == trained { json!([]) } else { json!([told]) };
+            let expected = match (scored, trained) {
+                ("", "") => json!(["capture/masks is there: --masks uses it"]),
+                _ if scored == trained => json!([]),
+                _ => json!([told]),
+            };
             assert_eq!(scores["notes"], expected, "{trained} {scored}");
             let report = std::fs::read_to_string(folder.path().join("scores/report.html")).unwrap();
             let row = format!("<th>masks<td>{}</tr>", !trained.is_empty());

@@ -64,28 +64,51 @@ fn what_was_being_written_is_gone() {
     }
 }
 
+/// Sends a signal when the first view has been scored or rendered, as lines of progress call it; what is said then, and the exit code.
+fn stopped(
+    folder: &Path,
+    arguments: &str,
+    (phase, of): (&str, usize),
+    signal: &str,
+) -> (serde_json::Value, Option<i32>) {
+    let mut command = common::centaur(folder);
+    command.args(arguments.split(' ')).arg("--json").stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let phase = format!(r#""phase":"{phase}""#);
+    assert!(lines.any(|line| line.contains(&phase)), "{arguments}: nothing is begun");
+    common::send(signal, &child.id().to_string());
+    let views = 1 + lines.filter(|line| line.contains(&phase)).count();
+    assert!(views < of, "{arguments}: all {views} are done");
+    let output = child.wait_with_output().unwrap();
+    (serde_json::from_slice(&output.stdout).unwrap(), output.status.code())
+}
+
 /// By a termination as by Ctrl-C.
 #[test]
-fn scoring_stops_and_the_scene_stays() {
+fn scoring_and_rendering_stop_and_the_scene_stays() {
     let folder = tempfile::tempdir().unwrap();
     common::write_capture(&folder.path().join("capture"), 80, (640, 480));
-    let arguments = "train capture -o scene.glb --no-mesh --iterations 1 --checkpoint-every 1 --eval-every 0";
-    let mut command = common::centaur(folder.path());
-    command.args(arguments.split(' ')).args(["--max-splats", "50", "--json"]).stdout(Stdio::piped());
-    let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
-    assert!(lines.any(|line| line.contains(r#""phase":"scoring""#)), "it scores nothing");
-    common::send("TERM", &child.id().to_string());
-    let views = 1 + lines.filter(|line| line.contains(r#""phase":"scoring""#)).count();
-    assert!(views < 10, "it scored all {views}");
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(0));
-    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let train =
+        "train capture -o scene.glb --no-mesh --iterations 1 --checkpoint-every 1 --eval-every 0 --max-splats 50";
+    let (said, code) = stopped(folder.path(), train, ("scoring", 10), "TERM");
+    assert_eq!(code, Some(143));
     let files = ["scene.glb", "scene.glb.checkpoint"];
     let expected = serde_json::json!({ "outcome": "interrupted", "scene": files[0], "checkpoint": files[1], "notes": said["notes"] });
     assert_eq!(said, expected);
     centaur::format::read_scene(&folder.path().join(files[0])).unwrap();
     assert!(folder.path().join(files[1]).is_file());
+
+    // What told of all views was of other pictures.
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("scores")).unwrap();
+    std::fs::write(at("scores/metrics.json"), "{}").unwrap();
+    let (said, code) = stopped(folder.path(), "eval scene.glb capture -o scores", ("scoring", 10), "INT");
+    assert_eq!((said["outcome"].as_str(), code), (Some("interrupted"), Some(130)), "{said}");
+    assert!(at("scores/000.png").is_file() && !at("scores/metrics.json").exists());
+    let (said, code) = stopped(folder.path(), "render scene.glb -o pictures", ("rendering", 80), "INT");
+    assert_eq!((said["outcome"].as_str(), code), (Some("interrupted"), Some(130)), "{said}");
+    assert_eq!(said["pictures"].as_array().unwrap().len(), common::tree(&at("pictures")).len());
 }
 
 /// What is kept for resuming has served when all is written, and goes also where nobody reads what is printed then. What cannot be printed is a

@@ -44,7 +44,7 @@ fn write_slide(folder: &Path) {
 fn run(folder: &Path, args: &str) -> String {
     let output = common::centaur(folder).args(args.split(' ')).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{args}: {}", stderr(&output));
-    String::from_utf8(output.stdout).unwrap()
+    common::said(&output)
 }
 
 fn failure(folder: &Path, args: &str) -> String {
@@ -52,7 +52,7 @@ fn failure(folder: &Path, args: &str) -> String {
 }
 
 fn as_json(folder: &Path, args: &str) -> Value {
-    serde_json::from_str(&run(folder, &format!("{args} --json"))).unwrap()
+    serde_json::from_str(run(folder, &format!("{args} --json")).lines().next().unwrap()).unwrap()
 }
 
 #[test]
@@ -148,11 +148,11 @@ fn animations_are_chosen_by_name() {
         (moved, said["inputs"][0]["notes"].to_string())
     };
     for (flags, expected, note) in [
-        ("--quiet", Vec3::new(2.0, 0.0, 0.0), "of channels that move the same, the first: 1 left out"),
+        ("--quiet", Vec3::new(2.0, 0.0, 0.0), "1 of 2 move what one before them moves"),
         ("--animation slide", Vec3::new(2.0, 0.0, 0.0), "not asked for, left out: 1"),
         ("--animation rise", Vec3::new(0.0, -4.0, 0.0), "not asked for, left out: 1"),
         ("--animation 1", Vec3::new(0.0, -4.0, 0.0), "not asked for, left out: 1"),
-        ("--animation rise --animation slide", Vec3::new(2.0, 0.0, 0.0), "the first: 1 left out"),
+        ("--animation rise --animation slide", Vec3::new(2.0, 0.0, 0.0), "1 of 2 move what one before them moves"),
     ] {
         let (moved, notes) = first(flags);
         assert!((moved - expected).length() < 1e-6 && notes.contains(note), "{flags}: {moved}, {notes}");
@@ -168,6 +168,12 @@ fn animations_are_chosen_by_name() {
         let args = ["convert", "b.gltf", output, "--animation", "rise"];
         let error = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
         assert!(error.contains("only a .blend.py plays it") && error.contains("say --time"), "{error}");
+    }
+    // That one of them wins is said where they are played, not at rest.
+    for (flags, is_said) in [("--time 0..0.5 --fps 2", true), ("", false)] {
+        let said = run(folder.path(), format!("render b.gltf --camera front -o said --quiet {flags}").trim_end());
+        let note = "note: b.gltf: /animations: 1 of 2 move what one before them moves: there the first is played; --animation says which\n";
+        assert_eq!(said.contains(note), is_said, "{said}");
     }
     let said = run(folder.path(), "render b.gltf --camera front --animation rise -o rest --quiet");
     assert!(said.contains("--animation gives them no times, and the scene is shown as it rests"), "{said}");
@@ -210,6 +216,31 @@ fn what_fails_late_leaves_no_empty_folder() {
     std::fs::write(at("a.gltf"), document.to_string()).unwrap();
     let error = failure(folder.path(), "render a.gltf --time 1..1 -o frames");
     assert!(error.starts_with("error: a.gltf: ") && error.contains("finite"), "{error}");
+}
+
+/// Its picture takes some kilobytes, its map a megabyte.
+#[test]
+fn what_becomes_large_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    write_slide(folder.path());
+    let at = |name: &str| folder.path().join(name);
+    image::RgbImage::from_fn(256, 256, |x, y| image::Rgb([x as u8, y as u8, 9])).save(at("t.png")).unwrap();
+    let uv: Vec<u8> = [0.0_f32, 0.0, 1.0, 0.0, 0.0, 1.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    std::fs::write(at("uv.bin"), &uv).unwrap();
+    let mut document: Value = serde_json::from_slice(&std::fs::read(at("a.gltf")).unwrap()).unwrap();
+    let mut add = |list: &str, what: Value| document[list].as_array_mut().unwrap().push(what);
+    add("buffers", json!({ "byteLength": uv.len(), "uri": "uv.bin" }));
+    add("bufferViews", json!({ "buffer": 1, "byteLength": uv.len() }));
+    add("accessors", json!({ "bufferView": 3, "componentType": 5126, "type": "VEC2", "count": 3 }));
+    document["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = json!(3);
+    document["images"] = json!([{ "uri": "t.png" }]);
+    document["textures"] = json!([{ "source": 0 }]);
+    document["materials"][0]["pbrMetallicRoughness"] = json!({ "baseColorTexture": { "index": 0 } });
+    std::fs::write(at("c.gltf"), document.to_string()).unwrap();
+    let said = run(folder.path(), "convert c.gltf posed.glb --time 0.5");
+    assert!(said.contains(" times as large as what it was made of: pictures have become maps of floats\n"), "{said}");
+    let said = run(folder.path(), "convert c.gltf whole.glb");
+    assert!(!said.contains("as large as"), "{said}");
 }
 
 #[test]
@@ -261,6 +292,12 @@ fn pictures_are_of_their_time() {
     assert!(shorter.ends_with("note: span: 1 picture after frame_00001.png is of an earlier render\n"), "{shorter}");
     let one = run(folder.path(), "render a.gltf -o span --time 0 --quiet");
     assert!(!one.contains("note"), "{one}");
+    // Beyond the last key nothing moves on.
+    let beyond = "note: a.gltf: /animations: last from 0.000 to 1.000 s: beyond that all is as at the nearer end\n";
+    for (time, is_said) in [("5", true), ("0.5..1.5", true), ("1", false)] {
+        let said = run(folder.path(), &format!("render a.gltf -o late --time {time} --fps 2 --quiet"));
+        assert_eq!(said.contains(beyond), is_said, "{time}: {said}");
+    }
     // A camera that slides along sees it where it was.
     let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
     let mut document: Value = serde_json::from_str(&text).unwrap();

@@ -354,12 +354,12 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     // Under nohup it goes on after a hangup; else the shell's, the terminal's and whoever ends the session are one wish, and so are the two
     // of `timeout`.
     let (nohup, hung_up) = ("trap '' HUP; exec \"$@\"", "exec \"$@\"");
-    let mut runs = vec![(nohup, &["HUP", "INT"][..], None), (hung_up, &["TERM", "TERM"], Some("--resume"))];
+    let mut runs = vec![(nohup, &["HUP", "INT"][..], 130, None), (hung_up, &["TERM", "TERM"], 143, Some("--resume"))];
     if cfg!(target_os = "linux") {
         // Elsewhere hangups are heeded where stderr is a terminal.
-        runs.push((hung_up, &["HUP", "HUP", "TERM"], Some("--resume")));
+        runs.push((hung_up, &["HUP", "HUP", "TERM"], 129, Some("--resume")));
     }
-    for (shell, signals, resume) in runs {
+    for (shell, signals, code, resume) in runs {
         let mut command = Command::new("env");
         if cfg!(target_os = "linux") {
             // Tests may run under nohup.
@@ -382,15 +382,25 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
         // Reports are read on, so that the child does not wait for a full pipe.
         let rest: Vec<String> = lines.collect();
         let output = child.wait_with_output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{signals:?} {:?}", rest.last());
+        assert_eq!(output.status.code(), Some(code), "{signals:?} {:?}", rest.last());
         // Once, at once, and on no line of progress.
         let is_heard =
             |line: &&String| line.starts_with("note: stopping after the current step, and keeping what is done;");
         assert_eq!(rest.iter().filter(is_heard).count(), 1, "{signals:?} {rest:?}");
         let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(outcome["outcome"], "interrupted");
+        assert!(!outcome["notes"].to_string().contains("earlier run"), "{outcome}");
         assert_eq!(files(), ["scene.glb.checkpoint"]);
     }
+    // What is there of an earlier run is named.
+    std::fs::write(folder.path().join("scene.glb"), "of an earlier run").unwrap();
+    let mut command = common::centaur(folder.path());
+    let stopped = command.args(arguments).args(["--resume", "--stop-at-eof"]).stdin(Stdio::null()).output().unwrap();
+    let outcome: serde_json::Value = serde_json::from_slice(&stopped.stdout).unwrap();
+    let notes = outcome["notes"].to_string();
+    assert_eq!(stopped.status.code(), Some(130));
+    assert!(notes.contains("scene.glb: is still that of an earlier run"), "{notes}");
+    std::fs::remove_file(folder.path().join("scene.glb")).unwrap();
 
     let output = common::centaur(folder.path()).args(arguments).arg("--resume").output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));
@@ -461,7 +471,8 @@ fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     write(serde_json::json!({ "train_filenames": ["0.png", "1.png", "2.png", "3.png"] }));
     let all = notes("--masks --quiet --json");
     assert!(all[1].ends_with("has no masks: nothing is masked") && all[2].contains("holds no view out"), "{all:?}");
-    assert!(all.len() == 4 && all[3].contains("has views for which +y is up"), "{all:?}");
+    assert!(all.len() == 5 && all[3].contains("has views for which +y is up"), "{all:?}");
+    assert_eq!(all[4], "scene.glb: is there, and is replaced when this training is done");
     let (code, said, _) = run("--images images_4 --quiet");
     assert!(code == Some(1) && said.contains("/frames/0/file_path") && said.contains("begins with images/"), "{said}");
     let (code, said, _) = run("--max-splats 0");
@@ -624,6 +635,7 @@ fn what_a_surface_was_made_of_is_said() {
         [(Some("points"), "guessed_points", 2), (Some("splats"), "splats", 1), (None, "splats", 1)]
     {
         let mut command = common::centaur(folder.path());
+        let _ = std::fs::remove_file(folder.path().join("scene.glb"));
         command.args(["train", &demo, "--report", "report"]).args(flags.split(' '));
         let output = command.args(surface.map(|s| format!("--surface={s}"))).output().unwrap();
         assert!(output.status.success(), "{}", common::stderr(&output));
@@ -648,7 +660,10 @@ fn a_surface_is_compared_with_what_it_should_be() {
         assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));
         String::from_utf8(output.stdout).unwrap()
     };
-    mesh("-o a.glb --triangles 3000 --quiet");
+    let said = mesh("-o a.glb --triangles 3000 --quiet");
+    let (last, written) = (said.lines().last().unwrap(), folder.path().join("a.glb"));
+    let count = mesh_import::read(&written).unwrap().triangles.len();
+    assert_eq!(last, format!("wrote a.glb: {count} triangles, {} bytes", written.metadata().unwrap().len()));
     let found: serde_json::Value =
         serde_json::from_str(&mesh("-o b.glb --truth a.glb --within 1e-4 --triangles 3000 --json")).unwrap();
     let of = |key: &str| found["truth"][key].as_f64().unwrap();
@@ -668,6 +683,12 @@ fn a_surface_is_compared_with_what_it_should_be() {
     let left = of_triangles(&own, "simplified");
     assert!((500..=1000).contains(&left) && own["truth"]["f_score"].as_f64().unwrap() > 0.9, "{own}");
     assert_eq!(mesh_import::read(&folder.path().join("c.glb")).unwrap().triangles.len() as u64, left);
+    // What cannot become so few is told.
+    let few: serde_json::Value = serde_json::from_str(&mesh("--mesh a.glb -o d.glb --triangles 1 --json")).unwrap();
+    let (left, notes) = (of_triangles(&few, "simplified"), few["notes"].to_string());
+    let said = format!("d.glb: {left} triangles are left, more than the 1 of --triangles: ");
+    assert_eq!(notes.contains(&said), left > 1, "{notes}");
+    assert_eq!(few["bytes"], folder.path().join("d.glb").metadata().unwrap().len());
     // What no camera sees does not count: a square above all of them, as large as the surface.
     let seen = mesh_import::read(&folder.path().join("a.glb")).unwrap();
     let area = |[a, b, c]: [Vec3; 3]| 0.5 * (b - a).cross(c - a).length();

@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::capture;
-use clap::{Parser as _, ValueEnum};
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use super::Args;
@@ -345,7 +345,7 @@ impl Job {
                 self.name()
             )));
         }
-        let parsed = crate::cli::Cli::try_parse_from(std::iter::once("centaur".into()).chain(self.command()));
+        let parsed = crate::cli::Cli::of(std::iter::once("centaur".into()).chain(self.command()));
         let wrong = |e: clap::Error| {
             // What prints something else is no mistake to clap.
             usage::wrong(if e.use_stderr() {
@@ -466,6 +466,7 @@ fn size_of(scene: &str, protocol: Protocol) -> Vec<String> {
 mod tests {
     use std::ffi::OsStr;
 
+    use clap::Parser as _;
     use serde_json::Value;
 
     use super::*;

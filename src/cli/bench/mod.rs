@@ -11,6 +11,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use centaur::format::atomic_write;
+use centaur::render::gpu::{GpuError, survey_adapters};
 
 use self::jobs::{Job, Protocol, Shard, Variant};
 use self::record::Record;
@@ -59,7 +60,7 @@ pub(super) struct Args {
     #[arg(long = "variant", value_name = "NAME[=FLAGS]", value_parser = jobs::variant, allow_hyphen_values = true)]
     variants: Vec<Variant>,
     /// Seeds of every scene and variant
-    #[arg(long, value_name = "N,N…", value_delimiter = ',', default_value = "0")]
+    #[arg(long, value_name = "N,N…", value_delimiter = ',', default_value = "0", value_parser = output::whole_number)]
     seeds: Vec<u64>,
     /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are [default: all are]
     #[arg(long, value_enum)]
@@ -117,6 +118,9 @@ pub(super) fn is_left_to_another(error: &anyhow::Error) -> bool {
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
+    if !args.list {
+        output::check_folder(&args.output)?;
+    }
     let before = record::all(&args.output)?;
     if args.table {
         ensure!(!before.is_empty(), "{}: expected results of jobs, found none", args.output.display());
@@ -142,6 +146,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     open.iter().try_for_each(|job| job.check())?;
     if args.list {
         return open.iter().try_for_each(|job| list(job, args));
+    }
+    // Each job would say so.
+    if !open.is_empty() {
+        let (adapters, unfit) = survey_adapters();
+        ensure!(!adapters.is_empty(), GpuError::NoAdapter { unfit });
     }
     let _folder = output::Folder::make(&args.output)?;
     if !args.messages.quiet && !args.messages.json && !open.is_empty() && !open.iter().any(|job| job.scores_lpips()) {

@@ -184,6 +184,11 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         std::thread::sleep(Duration::from_millis(50));
     }
     let output = waiting.join().map_err(|_| anyhow!("cannot wait"))?.context("cannot wait for a training")?;
+    let printed: serde_json::Result<Value> = serde_json::from_slice(&output.stdout);
+    // Its exit code is that of a signal then.
+    if printed.as_ref().is_ok_and(|result| result["outcome"] == "interrupted") {
+        return Ok(Ended::Interrupted);
+    }
     if !output.status.success() {
         let messages = if cfg!(unix) { std::fs::read(&path).unwrap_or_default() } else { output.stderr };
         let messages = String::from_utf8_lossy(&messages);
@@ -192,10 +197,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         let advice = if is_begun { advice(last, &job.checkpoint()) } else { "" };
         bail!("{last}{advice} ({})", output.status);
     }
-    let mut result: Value = serde_json::from_slice(&output.stdout).context("a training printed no JSON")?;
-    if result["outcome"] != "finished" {
-        return Ok(Ended::Interrupted);
-    }
+    let mut result = printed.context("a training printed no JSON")?;
     result["job"] = {
         let made = job.made(at_a_time);
         serde_json::to_value(Made { capture: job.fingerprint(jobs::images_of(&made).as_deref()), ..made })?

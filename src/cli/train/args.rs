@@ -29,7 +29,8 @@ Examples:
 /// transforms*.json. Splats are trained alone first; then a mesh is made and judged, and both are trained together. Every 8th
 /// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and on Unix a
 /// terminal that goes away, stop after the current step (an iteration, or a surface being made and judged) and leave a checkpoint for
-/// --resume, or after the current view and leave the scene without scores; a second Ctrl-C stops at once. The method is HERA's ("the
+/// --resume, or after the current view and leave the scene without scores, with the exit code of a program that the signal has ended (130 of
+/// Ctrl-C); a second Ctrl-C stops at once. A scene of that name is replaced when all is done, not before. The method is HERA's ("the
 /// paper": Cai et al., CVPR 2025), on 3D Gaussian splatting (3DGS); docs/method.md lists the defaults that differ from theirs, and why.
 // A flag given again replaces the former: variants of `centaur bench` change what all have.
 #[derive(clap::Args)]
@@ -58,7 +59,8 @@ pub(in crate::cli) struct Args {
     pub(super) adapter: AdapterArgs,
 
     /// Iterations of the splats, those for the surface included (INRIA 3DGS: 30000)
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION)]
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION,
+          value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) iterations: u32,
     /// Iterations on the mesh alone, its maps and, after the first eighth, the vertices of one that was found, before it is joined with the
     /// splats; none without a mesh [default: 9000, as in HERA, and in runs of fewer than 30000 three tenths of --iterations]
@@ -81,7 +83,8 @@ pub(in crate::cli) struct Args {
     pub(super) ssim_weight: f32,
     /// Start of every random sequence. The same seed gives the same scene, to the last bit, on the same adapter and driver, however many
     /// threads there are and wherever it was resumed
-    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION)]
+    #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION,
+          value_parser = output::whole_number)]
     pub(super) seed: u64,
     /// Save a checkpoint after every N iterations and at the end of each phase; 0 for none but that of Ctrl-C while it trains,
     /// so that what is stopped while it is scored begins anew

@@ -59,7 +59,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         )
     });
     let finds_surface = args.mesh.is_none() && !args.no_mesh;
-    let none_left = finds_surface && args.iterations > 0 && args.surface_iterations >= Some(args.iterations);
+    let none_left = finds_surface && args.surface_iterations >= Some(args.iterations);
     let none_left = none_left.then(|| {
         format!(
             "--surface-iterations: leaves none of the {} iterations to train splats and mesh together",
@@ -83,6 +83,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
     });
     of_capture
         .map(|what| format!("{}: {what}", args.capture.display()))
+        .chain(args.loading.idle_masks(&args.capture))
         .chain(too_many)
         .chain(none_left)
         .chain(idle)

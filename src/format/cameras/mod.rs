@@ -41,8 +41,8 @@ pub struct CameraFile {
 pub struct Sampling<'a> {
     /// Frames a second of those that move; `None`: what the file states, else [`DEFAULT_FPS`].
     pub fps: Option<f64>,
-    /// Only the camera of this name; `None`: all that move, or all where none does.
-    pub only: Option<&'a str>,
+    /// Only the cameras of these names, or numbers from 0 where no name is meant; empty: all that move, or all where none does.
+    pub only: &'a [String],
     /// All as they are at this time, in seconds, none of them moving; `None`: frame by frame.
     pub time: Option<f64>,
     /// None of those that [`write_cameras_with_scene`] has added.
@@ -50,9 +50,27 @@ pub struct Sampling<'a> {
 }
 
 impl Sampling<'_> {
-    /// Whether a camera of this name, as a file's reader has it, is asked for.
-    pub(super) fn wants(&self, name: &str) -> bool {
-        self.only.is_none_or(|only| short(only) == name)
+    /// Whether a camera of this name and number, as a file's reader has them, may be asked for.
+    pub(super) fn wants(&self, name: &str, number: usize) -> bool {
+        self.only.is_empty() || self.only.iter().any(|only| short(only) == name || only.parse().ok() == Some(number))
+    }
+
+    /// Which of the cameras of these names are asked for.
+    ///
+    /// # Errors
+    /// The first that is asked for and neither the name of one nor a number.
+    pub fn picked(&self, names: &[&str]) -> Result<Vec<bool>, String> {
+        let mut picked = vec![self.only.is_empty(); names.len()];
+        for only in self.only {
+            let named: Vec<bool> = names.iter().map(|name| *name == *only || *name == short(only)).collect();
+            if named.contains(&true) {
+                picked.iter_mut().zip(named).for_each(|(picked, is_named)| *picked |= is_named);
+            } else {
+                let number: usize = only.parse().map_err(|_| only.clone())?;
+                *picked.get_mut(number).ok_or_else(|| only.clone())? = true;
+            }
+        }
+        Ok(picked)
     }
 }
 
@@ -73,6 +91,13 @@ const MAX_NAME: usize = 100;
 pub(super) fn short(name: &str) -> String {
     name.chars().take(MAX_NAME).collect()
 }
+
+/// What is expected of a file, and what of what it holds, where it is a scene without cameras. See [`FormatError::is_lack_of_cameras`].
+pub(super) const NO_CAMERAS: [&str; 3] =
+    ["a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json", "cameras", "a camera"];
+
+/// How to come by cameras of a scene that has none.
+const ADVICE: &str = "`centaur cameras orbit` makes a path around any scene";
 
 /// Extensions of files that [`write_cameras`] writes; a path that has none of them is a folder for a COLMAP model.
 pub const WRITABLE_CAMERAS: &[&str] = &["json", "glb", "gltf", "usda"];
@@ -116,8 +141,8 @@ pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, 
         Kind::Gltf => gltf::read_cameras(path, sampling),
         Kind::Usd => usd::read_cameras(path, sampling),
         other => {
-            let expected = "a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json";
-            Err(Fault::whole(expected, other.name()).in_file(path))
+            let [expected, ..] = NO_CAMERAS;
+            Err(Fault::whole(expected, format!("{}; {ADVICE}", other.name())).in_file(path))
         }
     }
 }
@@ -169,20 +194,17 @@ pub(super) fn chosen(
     y_up: bool,
     mut notes: Vec<String>,
 ) -> Result<CameraFile, Fault> {
-    let names: Vec<String> = found.iter().map(|camera| camera.name.clone()).collect();
+    if found.is_empty() {
+        return Err(Fault::whole("cameras", format!("none that are pinholes; {ADVICE}")));
+    }
+    let names: Vec<&str> = found.iter().map(|camera| camera.name.as_str()).collect();
+    let is_none = |only: String| Fault::whole(format!("a camera called {only}"), some_of(names.iter().copied()));
+    let mut picked = sampling.picked(&names).map_err(is_none)?.into_iter();
     let moves = found.iter().any(|camera| camera.fps.is_some());
     let (kept, others): (Vec<Found>, Vec<Found>) = found.into_iter().partition(|camera| {
-        sampling.wants(&camera.name) && (sampling.only.is_some() || camera.fps.is_some() || !moves)
+        picked.next() == Some(true) && (!sampling.only.is_empty() || camera.fps.is_some() || !moves)
     });
-    if kept.is_empty() {
-        return Err(match sampling.only {
-            Some(name) if !names.is_empty() => {
-                Fault::whole(format!("a camera called {name}"), some_of(names.iter().map(String::as_str)))
-            }
-            _ => Fault::whole("cameras", "none that are pinholes"),
-        });
-    }
-    if sampling.only.is_none() && !others.is_empty() {
+    if sampling.only.is_empty() && !others.is_empty() {
         notes.push(format!("cameras that do not move: left out ({})", others.len()));
     }
     let fps = kept.iter().find_map(|camera| camera.fps);

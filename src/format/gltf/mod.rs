@@ -169,6 +169,7 @@ fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, F
                 file.notes.push(note);
             }
         });
+        file.notes.extend(moving.overruled().into_iter().chain(moving.outside([time; 2])));
         if moving.is_still() {
             file.notes.push(format!("/animations: there are none: at {time} s it is shown as it rests"));
         }

@@ -56,7 +56,7 @@ pub(super) fn cameras(
         let at = format!("/nodes/{index}");
         let fps = sampling.fps.or(motion.fps).unwrap_or(DEFAULT_FPS);
         let range = ranges.get(&index).copied();
-        let Some((start, end)) = range.filter(|_| sampling.wants(&name)) else {
+        let Some((start, end)) = range.filter(|_| sampling.wants(&name, found.len())) else {
             match camera::read(document, optics.index(), *transform) {
                 Ok((camera, note)) => {
                     notes.extend(note.map(|note| format!("{at}: {note}")));
@@ -104,7 +104,7 @@ pub(in crate::format) struct Motion {
     clips: Vec<Clip>,
     /// What is wrong with channels that are not among the tracks.
     faults: Vec<Fault>,
-    /// How many channels move what one before them moves.
+    /// How many animations move what one before them moves, too.
     overruled: usize,
     /// How many animations were not asked for.
     left_out: usize,
@@ -176,7 +176,7 @@ impl Motion {
         let mut arrays = Arrays { asset, times: HashMap::new(), values: HashMap::new() };
         let all = asset.document.as_json().animations.iter().enumerate();
         for (a, animation) in all.filter(|(a, _)| wants(*a)) {
-            let (mut range, mut channels): (Option<[f64; 2]>, usize) = (None, 0);
+            let (mut range, mut channels, mut is_overruled): (Option<[f64; 2]>, usize, bool) = (None, 0, false);
             for (c, channel) in asset.channels(a).into_iter().zip(&animation.channels) {
                 let (target, track) = match arrays.track(animation, channel, &format!("/animations/{a}/channels/{c}")) {
                     Ok(read) => read,
@@ -190,9 +190,10 @@ impl Motion {
                 channels += 1;
                 match motion.tracks.entry(target) {
                     Entry::Vacant(slot) => drop(slot.insert(track)),
-                    Entry::Occupied(_) => motion.overruled += 1,
+                    Entry::Occupied(_) => is_overruled = true,
                 }
             }
+            motion.overruled += usize::from(is_overruled);
             motion.clips.extend(range.map(|range| Clip { name: animation.name.clone(), range, channels }));
             let stated = asset.root.pointer(&format!("/animations/{a}/extras/{EXTRAS}/{FPS}"));
             motion.fps = motion.fps.or(stated.and_then(Value::as_f64).filter(|fps| *fps > 0.0));
@@ -205,6 +206,14 @@ impl Motion {
         self.faults.first().map_or(Ok(()), |fault| Err(fault.clone()))
     }
 
+    /// What there is to be said where animations that move the same are played together.
+    pub(super) fn overruled(&self) -> Option<String> {
+        let (some, all) = (self.overruled, self.clips.len());
+        (some > 0).then(|| {
+            format!("/animations: {some} of {all} move what one before them moves: there the first is played; --animation says which")
+        })
+    }
+
     /// What is not played, a sentence each.
     pub(super) fn notes(&self) -> Vec<String> {
         let fault = self.faults.first().map(|fault| {
@@ -213,12 +222,8 @@ impl Motion {
                 if self.faults.len() > 1 { format!(", and {} more", self.faults.len() - 1) } else { String::new() };
             format!("{location}not played{others}: expected {expected}, found {found}")
         });
-        let overruled = (self.overruled > 0).then(|| {
-            let all = "animations are played together; of channels that move the same, the first";
-            format!("/animations: {all}: {} left out", self.overruled)
-        });
         let left_out = (self.left_out > 0).then(|| format!("/animations: not asked for, left out: {}", self.left_out));
-        fault.into_iter().chain(overruled).chain(left_out).collect()
+        fault.into_iter().chain(left_out).collect()
     }
 
     pub(super) fn fps(&self) -> Option<f64> {

@@ -98,6 +98,20 @@ impl Moving {
         self.motion.fps()
     }
 
+    /// As [`Motion::overruled`].
+    pub(in crate::format) fn overruled(&self) -> Option<String> {
+        self.motion.overruled()
+    }
+
+    /// Says so if a time is before the first key of all or after the last, by more than a thousandth of a second.
+    pub(super) fn outside(&self, [start, end]: [f64; 2]) -> Option<String> {
+        let [first, last] = self.range();
+        let is_outside = !self.is_still() && (start < first - 1e-3 || end > last + 1e-3);
+        is_outside.then(|| {
+            format!("/animations: last from {first:.3} to {last:.3} s: beyond that all is as at the nearer end")
+        })
+    }
+
     /// First and last key of all animations and deformations.
     pub(in crate::format) fn range(&self) -> [f64; 2] {
         let deformations = self.poses().into_iter().flat_map(Poses::ranges);

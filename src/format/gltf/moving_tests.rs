@@ -486,9 +486,14 @@ fn weights_are_as_many_as_targets_and_times_grow() {
         "nodes": [{ "mesh": 0 }],
         "animations": [clip, late, first, first],
     });
-    let notes = File::new(&b, &document).rest().notes;
-    assert_eq!(notes[0], "/animations/0/channels/0: not played, and 1 more: expected 2 times 1 numbers, found 4");
-    assert!(notes[1].ends_with("of channels that move the same, the first: 1 left out"), "{}", notes[1]);
+    let file = File::new(&b, &document).rest();
+    assert_eq!(file.notes[0], "/animations/0/channels/0: not played, and 1 more: expected 2 times 1 numbers, found 4");
+    assert!(!file.notes.iter().any(|note| note.contains("before them")), "{:?}", file.notes);
+    // Where they are played.
+    let said = file.source.unwrap().played([0.0, 5.0]);
+    let several =
+        "/animations: 1 of 2 move what one before them moves: there the first is played; --animation says which";
+    assert_eq!(said, [several, "/animations: last from 0.000 to 2.000 s: beyond that all is as at the nearer end"]);
     let document = json!({
         "meshes": [{ "primitives": [{ "attributes": attributes }] }], "nodes": [{ "mesh": 0 }], "animations": [late],
     });

@@ -132,6 +132,13 @@ impl Source {
         self.moving.range()
     }
 
+    /// What there is to be said where it is played from one time to another, in seconds, a sentence each: which of animations that move the same
+    /// is taken, and how long there are any.
+    #[must_use]
+    pub fn played(&self, span: [f64; 2]) -> Vec<String> {
+        self.moving.overruled().into_iter().chain(self.moving.outside(span)).collect()
+    }
+
     /// Frames a second, if the document states them.
     #[must_use]
     pub fn fps(&self) -> Option<f64> {

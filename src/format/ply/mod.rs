@@ -12,12 +12,12 @@ use glam::{DVec3, Quat, Vec3};
 use serde::Serialize;
 
 pub use self::attribute::Attribute;
-use self::table::{Column, Element, Header, Scalar};
+use self::table::{Body, Column, Element, Header, Scalar};
 use super::blocks::in_waves;
 use super::error::{Fault, FormatError, open_file, shown};
-use super::splat_record::{SEEN_IN_3D, SplatRecord};
+use super::splat_record::{DROPPING, SEEN_IN_3D, SplatRecord};
 use super::{ReadOptions, activation, atomic_write_with};
-use crate::scene::{PixelFilter, SplatArrays, Splats, sh, smoothed_parameters};
+use crate::scene::{PixelFilter, SceneError, SplatArrays, Splats, sh, smoothed_parameters};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
 /// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own: the
@@ -164,8 +164,7 @@ pub struct Table {
 pub(super) fn tables(path: &Path) -> Result<(Vec<Table>, bool), FormatError> {
     let located = |fault: Fault| fault.in_file(path);
     let (header, mut body) = table::open(open_file(path)?).map_err(located)?;
-    let is_of_splats = header.element("vertex").is_some_and(|vertex| vertex.scalar("f_dc_0").is_some())
-        || compressed::is_compressed(&header);
+    let is_of_splats = is_of_splats(&header);
     let mut tables: Vec<Table> = header.elements().iter().map(Element::describe).collect();
     // Those of splats are told from the splats.
     if !is_of_splats {
@@ -189,6 +188,24 @@ pub(super) fn tables(path: &Path) -> Result<(Vec<Table>, bool), FormatError> {
     Ok((tables, is_of_splats))
 }
 
+/// Whether the tables are those of splats, be they readable or not.
+pub(super) fn is_of_splats(header: &Header) -> bool {
+    header.element("vertex").is_some_and(|vertex| vertex.scalar("f_dc_0").is_some())
+        || compressed::is_compressed(header)
+}
+
+/// What a PLY is where its vertices have places and nothing of splats.
+fn of_something_else(header: &Header, vertex: &Element) -> Option<Fault> {
+    let has = |name: &&str| vertex.scalar(name).is_some();
+    let is_something = ["x", "y", "z"].iter().all(has) && !["f_dc_0", "opacity", "scale_0", "rot_0"].iter().any(has);
+    is_something.then(|| {
+        let faces = header.element("face").map_or(0, |face| face.count);
+        let found =
+            if faces > 0 { format!("a mesh, no splats (`face`: {faces})") } else { "points, no splats".to_owned() };
+        Fault::byte(vertex.at, "splats, with `f_dc_0` and more", found)
+    })
+}
+
 pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, Fault> {
     parse(file, false).map(|file| file.splats)
 }
@@ -203,6 +220,10 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
         return Ok(PlySplats { splats, attributes: vec![], pixel_filter, notes, dropped: None });
     }
     let vertex = header.required("vertex")?;
+    of_something_else(&header, vertex).map_or(Ok(()), Err)?;
+    if vertex.count == 0 {
+        notes.push("holds no splats: `element vertex 0`".to_owned());
+    }
     let means = vertex.columns(["x", "y", "z"])?;
     let dc = vertex.columns(["f_dc_0", "f_dc_1", "f_dc_2"])?;
     let [opacity] = vertex.columns(["opacity"])?;
@@ -286,7 +307,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
             }
             Ok(())
         })?;
-    let splats = arrays.check().map_err(|e| body.locate(&header, "vertex", |i| i, e.into()))?;
+    let splats = arrays.check().map_err(|e| invalid(&header, &mut body, &parameters, e))?;
     if has_normals {
         notes.push("nx, ny, nz: normals are left out".to_owned());
     }
@@ -294,6 +315,53 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
         notes.push(format!("positions in double precision are rounded to single, by {rounding:.1e} at most"));
     }
     Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped: Some(dropped) })
+}
+
+/// What is wrong with a splat that no scene holds: where its row begins, and as the validator says it, by row and property, of which `parameters`
+/// are those that splats are made of.
+fn invalid(header: &Header, body: &mut Body<impl BufRead + Seek>, parameters: &[&str], error: SceneError) -> Fault {
+    let fault = Fault::from(error);
+    let Some((field, row)) = fault.element() else { return fault };
+    let at = body.locate(header, "vertex", |i| i, fault.clone()).location().clone();
+    let (_, expected, found) = fault.into_parts();
+    let fault = match not_finite(header, body, parameters, row) {
+        Some((name, value)) => Fault::at(at, "finite numbers", format!("{value} in row {row} of `{name}`")),
+        None if field == "rotations" => Fault::at(at, expected, format!("{found} in row {row} of `rot_0` to `rot_3`")),
+        None => Fault::at(at, expected, format!("{found} in row {row}")),
+    };
+    fault.with_advice(DROPPING)
+}
+
+/// The first parameter of a row that is not finite in single precision, and its value. Of opacities and scales reading knows what infinite ones mean.
+fn not_finite(
+    header: &Header,
+    body: &mut Body<impl BufRead + Seek>,
+    parameters: &[&str],
+    wanted: usize,
+) -> Option<(String, String)> {
+    let names = header.element("vertex")?.scalar_names();
+    let is_at_fault = |name: &str, value: f64| {
+        let is_meant =
+            (name == "opacity" && value.is_infinite()) || (name.starts_with("scale_") && value == f64::NEG_INFINITY);
+        parameters.contains(&name) && !(value as f32).is_finite() && !is_meant
+    };
+    let (mut number, mut found) = (0, None);
+    let walked = body.rows(
+        header,
+        "vertex",
+        |_| (),
+        |(), row| {
+            if number == wanted {
+                let mut values = names.iter().map(|(column, name)| (*name, row.values[*column]));
+                found = values.find(|&(name, value)| is_at_fault(name, value));
+            }
+            number += 1;
+            Ok(())
+        },
+    );
+    walked.ok()?;
+    let shown = |value: f64| if value.is_finite() { format!("{value:e}") } else { value.to_string() };
+    found.map(|(name, value)| (name.to_owned(), shown(value)))
 }
 
 /// Of the box around points; 0 of none.

@@ -39,7 +39,8 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
             None => vec![None],
             Some(_) if sampling.time.is_some() => vec![sampling.time.map(|time| time * codes)],
             Some((start, end)) => {
-                let count = if sampling.wants(&name) { taken.take(start / codes, end / codes, fps) } else { Ok(1) };
+                let is_wanted = sampling.wants(&name, found.len());
+                let count = if is_wanted { taken.take(start / codes, end / codes, fps) } else { Ok(1) };
                 let count = count.map_err(|fault| fault.under(&at))?;
                 (0..count).map(|i| Some((start + i as f64 * codes / fps).min(end))).collect()
             }

@@ -54,6 +54,9 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     if !missing.is_empty() {
         return findings.error("PLY_PROPERTY_MISSING", declared(), missing.join(", "), "none of these");
     }
+    if vertex.count == 0 {
+        findings.warning("PLY_EMPTY", declared(), "splats", "none: `element vertex 0`");
+    }
     if vertex.scalar("scale_2").is_none() {
         let expected = "scale_2, the third scale, as other readers demand";
         findings.warning("PLY_FLAT", declared(), expected, "none, as of 2DGS");
@@ -194,7 +197,8 @@ mod tests {
 
     #[test]
     fn what_we_write_is_faultless() {
-        assert!(findings(&written(200)).is_empty() && findings(&written(0)).is_empty());
+        assert!(findings(&written(200)).is_empty());
+        assert!(matches!(&findings(&written(0))[..], [Finding { code: "PLY_EMPTY", severity: Severity::Warning, .. }]));
     }
 
     #[test]
@@ -270,7 +274,9 @@ mod tests {
         put_up_with(&header.replace("nx", "binding_0"), body, "PLY_BINDING");
         let rest: String = (0..72).map(|i| format!("property float f_rest_{i}\n")).collect();
         let of_degree_4 = header.replace("vertex 3", "vertex 0").replace("end_header", &format!("{rest}end_header"));
-        put_up_with(&of_degree_4, b"", "PLY_SH_COUNT");
+        let found = findings(of_degree_4.as_bytes());
+        assert_eq!(found.iter().map(|f| f.code).collect::<Vec<_>>(), ["PLY_EMPTY", "PLY_SH_COUNT"]);
+        assert!(found.iter().all(|f| f.severity == Severity::Warning), "{found:?}");
         let points = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n";
         assert_eq!(code(points, b"1.0"), "PLY_CONTENT");
         assert_eq!(code(&points.replace("float x", "float opacity"), b"1.0"), "PLY_PROPERTY_MISSING");
