@@ -346,6 +346,8 @@ const ROUNDED: f64 = 5e-8;
 #[cfg(test)]
 mod colmap_tests;
 #[cfg(test)]
+mod distortion_tests;
+#[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod transforms_tests;

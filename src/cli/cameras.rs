@@ -365,3 +365,6 @@ fn field_of_view(text: &str) -> Result<f64, String> {
 fn number(text: &str) -> Result<f64, String> {
     finite(text).map(|[n]| n)
 }
+
+#[cfg(test)]
+mod tests;

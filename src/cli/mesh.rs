@@ -327,3 +327,6 @@ fn compare(surface: &Surface, file: &Path, truth: &Surface, args: &Args, capture
         format!("{file}: expected a surface that views of the capture see where this one is, found none")
     })
 }
+
+#[cfg(test)]
+mod tests;

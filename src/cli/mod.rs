@@ -7,6 +7,8 @@ mod convert;
 mod devices;
 mod edits;
 mod eval;
+#[cfg(test)]
+mod flag_tests;
 mod history;
 mod inspect;
 mod interrupt;

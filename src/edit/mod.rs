@@ -6,6 +6,8 @@
 
 mod axes;
 mod join;
+#[cfg(test)]
+mod property_tests;
 mod select;
 mod similarity;
 #[cfg(test)]

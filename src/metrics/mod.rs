@@ -7,6 +7,8 @@ mod evaluation;
 mod flip;
 mod lpips;
 mod markup;
+#[cfg(test)]
+mod mean_tests;
 mod picture;
 pub mod plot;
 mod psnr;

@@ -434,6 +434,26 @@ mod tests {
     }
 
     #[test]
+    fn damage_is_told_in_one_line() {
+        let whole = bytes_of(&checkpoint());
+        let tell = |bytes: &[u8], damage: &str| {
+            let found = message(bytes);
+            let says_what = found.contains(": expected ") && found.contains(", found ");
+            assert!(found.starts_with("c.safetensors: ") && says_what, "{damage}: {found}");
+            assert!(found.len() < 600 && !found.contains('\n'), "{damage}: {found}");
+        };
+        for part in 0..16 {
+            tell(&whole[..whole.len() * part / 16], &format!("cut to {part}/16"));
+        }
+        let header = 8 + u64::from_le_bytes(*whole.first_chunk().unwrap()) as usize;
+        for at in 0..header {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1;
+            tell(&bytes, &format!("another byte {at}"));
+        }
+    }
+
+    #[test]
     fn offsets_near_overflow_are_an_error() {
         let size = (u64::MAX / 32) * 4;
         let tensors: Vec<String> = (0..8)

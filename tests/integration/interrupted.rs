@@ -77,7 +77,10 @@ fn stopped(
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
     let phase = format!(r#""phase":"{phase}""#);
     assert!(lines.any(|line| line.contains(&phase)), "{arguments}: nothing is begun");
-    common::send(signal, &child.id().to_string());
+    // Held, it does not go on while the signal is on its way.
+    for signal in ["STOP", signal, "CONT"] {
+        common::send(signal, &child.id().to_string());
+    }
     let views = 1 + lines.filter(|line| line.contains(&phase)).count();
     assert!(views < of, "{arguments}: all {views} are done");
     let output = child.wait_with_output().unwrap();

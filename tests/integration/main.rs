@@ -20,12 +20,14 @@ mod cli;
 mod convert;
 mod cut_out;
 mod few_views;
+mod flags;
 mod format;
 mod gltf;
 mod gsplat_oracle;
 mod initial_splats;
 #[cfg(unix)]
 mod interrupted;
+mod layouts;
 mod lpips_oracle;
 mod moving;
 mod oracle_brush;

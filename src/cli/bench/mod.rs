@@ -1,5 +1,7 @@
 //! A data set: its captures trained and scored as independent jobs, on this machine or by any scheduler, and one table.
 
+#[cfg(test)]
+mod flag_tests;
 mod jobs;
 mod published;
 mod record;

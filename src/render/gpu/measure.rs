@@ -30,20 +30,44 @@ pub struct Ceilings {
     pub dispatch_seconds: f64,
 }
 
+/// How much is done at a time.
+struct Work {
+    /// Evaluations of a thread.
+    loops: u32,
+    /// Atomic additions of a thread.
+    adds: u32,
+    /// Workgroups of 256 threads that do either.
+    groups: usize,
+    /// Words to copy, a multiple of 256.
+    words: usize,
+}
+
+impl Work {
+    /// So much that starting it takes no time beside it.
+    fn of(gpu: &Gpu) -> Self {
+        let words = 1 << 23;
+        if gpu.profile().is_cpu {
+            return Self { loops: 256, adds: 256, groups: 256, words };
+        }
+        // Where adds are slow, as many as evaluations would take seconds, which drivers of displays do not grant.
+        Self { loops: 4096, adds: 64, groups: 4096, words }
+    }
+}
+
 /// Measures [`Ceilings`], best of five runs each; None where the adapter has no timestamps.
 ///
 /// # Errors
 /// If the driver fails.
 pub fn ceilings(gpu: &Gpu) -> Result<Option<Ceilings>, GpuError> {
-    const WORDS: usize = 1 << 23;
+    ceilings_by(gpu, &Work::of(gpu))
+}
+
+fn ceilings_by(gpu: &Gpu, work: &Work) -> Result<Option<Ceilings>, GpuError> {
+    let &Work { loops, adds, groups, words } = work;
     let Some(mut timer) = Timer::new(gpu) else { return Ok(None) };
-    let source = gpu.storage("ceilings", WORDS)?;
+    let source = gpu.storage("ceilings", words)?;
     let sums = gpu.storage("ceilings", 1 << 16)?;
-    let destination = gpu.storage("ceilings", WORDS)?;
-    let loops: u32 = if gpu.profile().is_cpu { 256 } else { 4096 };
-    let groups = if gpu.profile().is_cpu { 256 } else { 4096 };
-    // Where adds are slow, as many as evaluations would take seconds, which drivers of displays do not grant.
-    let adds: u32 = if gpu.profile().is_cpu { 256 } else { 64 };
+    let destination = gpu.storage("ceilings", words)?;
     let mut best = |entry: &str, groups: usize| -> Result<f64, GpuError> {
         let copies = entry == "copy";
         let loops = if entry == "atomics" { adds } else { loops };
@@ -63,7 +87,7 @@ pub fn ceilings(gpu: &Gpu) -> Result<Option<Ceilings>, GpuError> {
     Ok(Some(Ceilings {
         evaluations: threads * f64::from(loops) / best("evaluate", groups)?,
         atomic_adds: threads * f64::from(adds) / best("atomics", groups)?,
-        copy_bytes: (8 * WORDS) as f64 / best("copy", WORDS / 256)?,
+        copy_bytes: (8 * words) as f64 / best("copy", words / 256)?,
         dispatch_seconds: best("nothing", 1)?,
     }))
 }
@@ -219,4 +243,47 @@ pub fn training_peak(adapter: Option<&str>, scene: &HybridScene, camera: &Camera
     let gpu = Gpu::open(adapter)?;
     training_step(&gpu, scene, camera, 1)?;
     Ok(gpu.peak_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::testing::smooth_scene;
+    use crate::scene::OrderMode;
+
+    #[test]
+    fn ceilings_are_measured_where_there_are_timestamps() {
+        let gpu = Gpu::open(None).unwrap();
+        let found = ceilings_by(&gpu, &Work { loops: 1, adds: 1, groups: 1, words: 256 }).unwrap();
+        assert_eq!(found.is_some(), gpu.profile().timestamps);
+        if let Some(Ceilings { evaluations, atomic_adds, copy_bytes, dispatch_seconds }) = found {
+            let all = [evaluations, atomic_adds, copy_bytes, dispatch_seconds];
+            assert!(all.iter().all(|v| v.is_finite() && *v > 0.0), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_step_is_taken_apart_into_what_it_does() {
+        let gpu = Gpu::open(None).unwrap();
+        let (scene, camera) = smooth_scene(1, 2, OrderMode::Stable);
+        let times = training_step(&gpu, &scene, &camera, 1).unwrap();
+        // Splats that are seen in every pixel of 24 × 18, which are four tiles.
+        assert_eq!((times.visible, times.pairs), (5, 20), "{times:?}");
+        assert!((1..=256 * times.pairs).contains(&times.evaluations), "{times:?}");
+        assert!(times.step_seconds > 0.0 && times.frame_seconds > 0.0, "{times:?}");
+        let kernels: Vec<&str> = times.stages.iter().map(|stage| stage.kernel.as_str()).collect();
+        for part in
+            ["project_splats", "raster_layers", "blend_forward", "loss", "blend_backward", "adam_splats", "adam_texels"]
+        {
+            let of_part = kernels.iter().filter(|kernel| kernel.starts_with(part)).count();
+            assert!(of_part > 0 || !gpu.profile().timestamps, "{part} is not among {kernels:?}");
+        }
+        let mut distinct = kernels.clone();
+        distinct.sort_unstable();
+        distinct.dedup();
+        assert_eq!(distinct.len(), kernels.len(), "{kernels:?}");
+        assert!(times.stages.iter().all(|stage| stage.seconds.is_finite() && stage.seconds >= 0.0), "{times:?}");
+        // Of an adapter of its own, which holds nothing else.
+        assert!(training_peak(None, &scene, &camera).unwrap() > 0);
+    }
 }
