@@ -1,8 +1,9 @@
-// A step of Adam for splats, with MCMC's regularisers and noise (Kheradmand et al. 2024). `geometry`: one thread per splat; `harmonics`: one thread per four active SH floats, or per one where
-// splats do not begin at multiples of four (degrees 0 and 2).
+// A step of Adam for splats, with MCMC's regularisers and noise (Kheradmand et al. 2024). `geometry`: one thread per
+// splat; `harmonics`: one thread per four active SH floats, or per one if splats do not begin at multiples of four
+// (degrees 0 and 2).
 //
 // 28 bytes per float (parameter, gradient and two moments read, three written) and some 15 operations: bound by
-// bandwidth, 1.7 kB per splat of degree 3; 24 of one that the view does not see, which has no gradient.
+// bandwidth, 1.7 kB per splat of degree 3. A splat that the view does not see has no gradient: 24 bytes per float.
 
 //#import shared/random.wgsl
 //#import shared/group_index.wgsl
@@ -32,7 +33,7 @@ struct Step {
 @group(0) @binding(1) var<storage, read> visible: array<u32>;
 @group(0) @binding(6) var<storage, read_write> status: Status;
 //#if GEOMETRY
-// Three per splat: mean and opacity logit; quaternion w, x, y, z of any length; log-scale and a constant.
+// Three vectors per splat: mean and opacity logit; quaternion w, x, y, z of any length; log-scale and a constant.
 @group(0) @binding(2) var<storage, read_write> parameters: array<vec4f>;
 @group(0) @binding(3) var<storage, read> gradient: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> first: array<vec4f>;
@@ -48,10 +49,10 @@ fn adam(i: u32, value: vec4f, g: vec4f, rates: vec4f) -> vec4f {
     return value - adam_step(m, rates, step.correction_1, step.correction_2);
 }
 
-// Three independent normal numbers, by Box and Muller.
+// Three independent normal numbers (Box–Muller).
 fn normal(splat: u32) -> vec3f {
     let r = unit_numbers(random_words(vec4u(splat, step.number, step.seed, 0u)));
-    // Of numbers in (0, 1].
+    // The logarithm is taken of numbers in (0, 1].
     let radius = sqrt(-2.0 * log(vec2f(1.0) - r.xy));
     let angle = 6.2831853 * r.zw;
     return vec3f(radius.x * cos(angle.x), radius.x * sin(angle.x), radius.y * cos(angle.y));

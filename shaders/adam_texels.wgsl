@@ -1,13 +1,14 @@
 // One thread per channel of 2×2 texels of level 0: a step of Adam, and the mean of the four, which is the float of
 // level 1; build_mips does the levels beyond. A map without mips has one thread per float.
 //
-// The gradient of a texel is its own plus a quarter of its parent's, which is made up likewise, up to the coarsest level. Per float of level 0
-// 17 bytes read, 13 written: bound by bandwidth. What no view has seen, or next to nothing of, has neither gradient nor
-// moments and stays as it is.
+// The gradient of a texel is its own plus a quarter of its parent's, recursively up to the coarsest level. Per float of
+// level 0 17 bytes read, 13 written: bound by bandwidth. Texels that no view has seen, or hardly any, have neither
+// gradient nor moments and stay as they are.
 //
-// `visited_only`: floats without a gradient and their moments stay, for 5 bytes read. Steps are counted for all texels together, which
-// says little about how often one was seen; instead of correcting the moments for it, a step is at most the rate. (By
-// dense Adam, a texel seen for the first time late in a run moves by Σ 0.9ᵏ · 0.1/√0.001 = 31 times the rate.)
+// `visited_only`: floats without a gradient keep their value and moments, for 5 bytes read. Steps are counted for all
+// texels together, which says little about how often one was seen; instead of a bias correction of the moments, a step
+// is limited to the rate. (By dense Adam, a texel seen for the first time late in a run moves by Σ 0.9ᵏ · 0.1/√0.001 =
+// 31 times the rate.)
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl
@@ -34,7 +35,7 @@ const MAX_LOGIT: f32 = 6.0; // keeps σ' alive, so that wrong opaque surface can
 @group(0) @binding(5) var<storage, read_write> status: Status;
 @group(0) @binding(6) var<storage, read> peaks: array<u32>;             // see fixed_point.wgsl
 
-// Of a channel of the texel of level 1 in this row and column, with a quarter of what its parent has, coarsest first.
+// Gradient of a channel of the level-1 texel in this row and column, with a quarter of its parent's, coarsest first.
 fn with_parents(at: vec2u, channel: u32) -> f32 {
     var sum = 0.0;
     for (var level = map.levels - 1u; level >= 1u; level -= 1u) {

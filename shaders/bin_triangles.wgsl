@@ -1,9 +1,9 @@
 // Lists of triangles per bin of BIN×BIN pixels, by counting: `count` triangles per bin, `scan` the counts into offsets,
 // `scatter`.
 //
-// The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one
-// atomic and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin. A thread takes no more rows of a triangle than
-// have MOST_BINS bins of the picture, unless that were more threads than can be numbered.
+// The order inside a bin's list is arbitrary; raster_layers does not depend on it. Per (triangle, bin) pair: one atomic
+// and about 60 flops in each of `count` and `scatter`, 4 bytes written. 16 bytes per bin. A thread takes no more rows
+// of a triangle than hold MOST_BINS of the picture's bins, unless that would need more threads than can be numbered.
 
 //#import shared/view.wgsl
 //#import shared/workgroup_scan.wgsl
@@ -17,14 +17,14 @@
 @group(0) @binding(5) var<storage, read_write> pairs: array<u32>;               // [capacity]: triangles
 @group(0) @binding(6) var<storage, read_write> pairs_needed: array<u32>;        // [1]: largest total so far
 
-// Two kernels may round differently, and what is scattered must have been counted.
+// Margin of `count`: two kernels may round differently, and whatever is scattered must have been counted.
 const COUNTED_MARGIN: f32 = 0.01;
 
 fn bins() -> vec2u {
     return (view.size + BIN - 1u) / BIN;
 }
 
-// Threads that share out the rows of a triangle, as `binning_shares` in render/gpu/mesh.rs says.
+// Number of threads among which the rows of a triangle are divided, as `binning_shares` in render/gpu/mesh.rs.
 fn shares() -> u32 {
     let wanted = (bins().x * bins().y + MOST_BINS - 1u) / MOST_BINS;
     return max(min(wanted, MOST_BINNING_THREADS / max(view.n_triangles, 1u)), 1u);
@@ -44,7 +44,8 @@ fn edge_range(p: vec3f, q: vec3f, half: vec2f) -> vec2f {
 }
 
 // False only if no pixel of the bin can be inside: a pixel is inside iff all three edge functions have one sign.
-// Half a bin is measured to its border, half a pixel beyond the outermost centres, and farther by `margin` of that: both for rounding.
+// Half a bin is measured to its border, half a pixel beyond the outermost centres, and enlarged by `margin` times that:
+// both for rounding.
 fn may_touch(a: vec3f, b: vec3f, c: vec3f, bin: vec2u, margin: f32) -> bool {
     let half = (0.5 + 0.5 * margin) * f32(BIN) / view.focal;
     let ray = (f32(BIN) * (vec2f(bin) + 0.5) - view.principal) / view.focal;
@@ -83,8 +84,8 @@ fn count(
     }
 }
 
-// One workgroup, 1,024 bins at a time, so that cache lines are read once and by neighbours: with a run of all bins to each thread, every
-// load waited for the one before (1080p on an H200: 0.10 ms).
+// One workgroup, 1,024 bins at a time, so that cache lines are read once and by neighbours: with a contiguous run of
+// bins per thread, every load waited for the one before (1080p on an H200: 0.10 ms).
 @compute @workgroup_size(256)
 fn scan(@builtin(local_invocation_index) thread: u32) {
     let n = bins().x * bins().y;
@@ -129,7 +130,7 @@ fn scatter(
             if all(first == last) || may_touch(a, b, c, vec2u(x, y), 0.0) {
                 let bin = y * bins().x + x;
                 let slot = saturating_add(bin_start[bin], atomicAdd(&bin_fill[bin], 1u));
-                // Should one have slipped through uncounted, it must not take the place of the next bin's first.
+                // A triangle that was not counted after all must not take the place of the next bin's first.
                 var end = capacity;
                 if bin + 1u < n_bins { end = min(bin_start[bin + 1u], capacity); }
                 if slot < end { pairs[slot] = i; }

@@ -2,19 +2,19 @@
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
-// With w = P·t·α the pair's weight, p = ∂L/∂power, and pixels dx columns from the mean and y rows from where their column has most of the
-// splat, every splat needs these sums over pixels:
+// With w = P·t·α the pair's weight, p = ∂L/∂power, and pixels dx columns from the mean and y rows from the peak of the
+// splat in their column, every splat needs these sums over pixels:
 //     Σp, Σp·dx, Σp·y, Σp·dx², Σp·dx·y, Σp·y², Σw·g (rgb), Σw
-// and, where ABSOLUTE, two more of what every pixel pulls at the mean, whichever way: Σ|∂L/∂u|, Σ|∂L/∂v|.
-// c and g have a fourth channel: of a splat its disparity 1/z, and by how much the loss grows with that of a pixel, Σw/z, which keeps what
-// costs nothing where it is, dark before the dark, from hanging in the air. Depths count as given there, and layers of the mesh are not pulled.
-// A thread owns PER_THREAD pixels of one tile column (dx is common to them) and sums those in registers; lanes are
-// summed by the subgroup, subgroups through workgroup memory, which does all of it where there are none. The tile's sums
-// are written to a row of their own, beside those of the splat's other tiles: nothing is added by atomics, whose order would
-// be another in every run. `sum_moments` adds up the rows of a splat, `splat_backward` turns them into parameter gradients.
-// There are rows for pairs with numbers from WINDOW_START to before WINDOW_END; where an adapter binds too little for
-// all that there are, everything is done once for each window.
-// Per pair and pixel: 1 exp, ~40 flops, no memory; per pair: 56 + 4·LAYERS bytes read, 4·MOMENTS written.
+// and, if ABSOLUTE, two sums of absolute values of each pixel's gradient by the mean: Σ|∂L/∂u|, Σ|∂L/∂v|. c and g have
+// a fourth channel: for a splat its disparity 1/z, for a pixel the slope of the loss by its disparity Σw/z. That term
+// keeps splats that cost nothing where they are, dark ones before a dark background, from floating in mid-air. Depths
+// are held fixed in it, and mesh layers are not affected. A thread owns PER_THREAD pixels of one tile column (dx is
+// common to them) and sums those in registers; lanes are summed by the subgroup, and subgroups through workgroup
+// memory, which does all of it without subgroups. The tile's sums are written to a row of their own, beside those of
+// the splat's other tiles: nothing is added by atomics, whose order would differ from run to run. `sum_moments` adds up
+// the rows of a splat, `splat_backward` turns the sums into parameter gradients. There are rows for pairs with numbers
+// from WINDOW_START to before WINDOW_END; if an adapter binds too little for all rows, everything is done once for each
+// window. Per pair and pixel: 1 exp, ~40 flops, no memory; per pair: 56 + 4·LAYERS bytes read, 4·MOMENTS written.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 
@@ -45,11 +45,11 @@ var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 var<workgroup> batch_bucket: array<u32, BATCH>;
 //#end
 //#if SUBGROUPS
-// [subgroup][splat of the batch][moment], of as many splats as there is room for.
+// [subgroup][splat of the batch][moment], for as many splats as there is room for.
 const SUM_FLOATS: u32 = 2560u;
 var<workgroup> sums_of_batch: array<f32, SUM_FLOATS>;
 //#else
-// Splats whose sums are reduced together: as many as 16 KiB hold beside the rest.
+// Number of splats whose sums are reduced together: as many as fit in 16 KiB beside the rest.
 //#if ABSOLUTE
 const CHUNK: u32 = 3u;
 //#else
@@ -83,7 +83,7 @@ fn main(
     let pairs = ranges[tile];
     if WINDOW_START >= max(ranges[view.tiles.x * view.tiles.y].x, 1u) { return; }
 //#if SUBGROUPS
-    // Counted: some drivers say another subgroup_size than they compile for.
+    // Counted at run time: some drivers report another subgroup_size than they compile for.
     let lanes = subgroupAdd(1u);
 //#if PAIRWISE
     let place = places(lane, lanes);
@@ -130,7 +130,7 @@ fn main(
             layer$l = layer_color[$lu * n_pixels + pixel$j];
         }
 //#end
-        // Colours and disparities behind: S_b from the front of bucket b, R_b from its back.
+        // Accumulated colours and disparities behind: S_b from the front of bucket b, R_b from its back.
         var seen = vec4f(view.background.xyz, 0.0);
 //#for b in BUCKETS..0
         let bucket$b = buckets[$bu * n_pixels + pixel$j];
@@ -173,7 +173,7 @@ fn main(
         let used = atomicLoad(&last_end);
 //#if SUBGROUPS
         let room = SUM_FLOATS / (subgroups * MOMENTS);
-        // A multiple of 8 where there is room for that many.
+        // Rounded down to a multiple of 8, if there is room for that many.
         tile_range = vec4u(pairs.x, used, clamp(select(room / 8u * 8u, room, room < 8u), 1u, BATCH), subgroups);
 //#else
         tile_range = vec4u(pairs.x, used, BATCH, 0u);
@@ -209,7 +209,7 @@ fn main(
             let run = run_end(s, n);
 //#end
 //#for p in FIRST_PATH..PATHS
-        // Path p: bucket p for all pixels or, at last, decided for each.
+        // Path p: bucket p for all pixels, or for the last path decided per pixel.
 //#if RUNS
         let end_of_$p = select(s, run, path == $pu);
 //#else
@@ -338,7 +338,7 @@ fn main(
 //#for c in 0..MOMENTS
             let total$c = subgroupAdd(sums[$c]);
 //#end
-            // One sum a lane, so that they are written by one instruction and not by one each.
+            // One sum per lane, so that all are written by one instruction.
             for (var c = lane; c < MOMENTS; c += lanes) {
                 var total = total0;
 //#for c in 1..MOMENTS
@@ -376,7 +376,7 @@ fn main(
         workgroupBarrier();             // and used
 //#end
     }
-    // Pairs behind all that the tile's pixels used.
+    // Zeros for the pairs behind the last that the tile's pixels used.
     for (var pair = max(pairs.x, range.y) + thread; pair < pairs.y; pair += THREADS) {
         let number = numbered[pair].y;
         for (var c = 0u; c < MOMENTS; c++) { write(number, c, 0.0); }

@@ -1,6 +1,6 @@
 // Median depth of the splats alone: depth of the splat at which the transmittance falls below one half, 0 where it
-// never does. The depth is where the pixel's ray has the Gaussian's peak, not that of its mean: on a tilted
-// surface a flat splat's mean is off by up to its radius. One thread a pixel; run once per training view.
+// never does. The depth is that of the Gaussian's peak along the pixel's ray, not that of its mean: on a tilted surface
+// a flat splat's mean is off by up to its radius. One thread per pixel; run once per training view.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 //#import shared/projection.wgsl

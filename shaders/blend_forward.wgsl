@@ -1,8 +1,8 @@
-// Blends a tile's depth-sorted splats and the mesh layers, front to back. One traversal suffices: a
-// splat lands in bucket b, the number of layers in front of it at this pixel, and "over" is associative, so every
-// bucket is accumulated on its own and all are composited with the layers at the end.
-// A thread owns PER_THREAD pixels of one tile column, so that a splat's record is read once for all of them.
-// For training it blends disparities, 1/z, as a fourth colour.
+// Blends a tile's depth-sorted splats and the mesh layers, front to back. One traversal suffices: a splat belongs to
+// bucket b, the number of layers in front of it at this pixel, and "over" is associative, so every bucket is
+// accumulated on its own and all are composited with the layers at the end. A thread owns PER_THREAD pixels of one tile
+// column, so that a splat's record is read once for all of them. For training, disparities 1/z are blended as a fourth
+// colour.
 // Per (splat, pixel): 1 exp, ~25 flops. Per splat and tile: 52 + 4·LAYERS bytes. Per pixel: 20·LAYERS bytes
 // read, 16 written and 24·BUCKETS saved.
 //#import shared/view.wgsl
@@ -103,7 +103,7 @@ fn main(
     include_depths($lu, low$l, high$l);
 //#end
 //#if LAYERS
-    // Without this, the pixels of a bucket that has got all its splats would keep the tile going to the list's end.
+    // Otherwise the pixels of a bucket that has received all its splats would keep the tile going to the list's end.
     workgroupBarrier();
     var last = array<u32, BUCKETS>();
     for (var i = range.x + thread; i < range.y; i += THREADS) {
@@ -120,7 +120,8 @@ fn main(
     var any_open = true;
 
     for (var start = range.x; start < range.y; start += BATCH) {
-        // Close buckets that are complete, or hidden by what is known to lie before them; stop when the tile has none open.
+        // Closes buckets that are complete, or hidden by known content in front of them; stops when the tile has none
+        // open.
         if any_open {
             any_open = false;
 //#if LAYERS
@@ -178,7 +179,7 @@ fn main(
             let run = run_end(s, n);
 //#end
 //#for p in FIRST_PATH..PATHS
-        // Path p: bucket p for all pixels or, at last, decided for each.
+        // Path p: bucket p for all pixels, or for the last path decided per pixel.
 //#if RUNS
         let end_of_$p = select(s, run, path == $pu);
 //#else

@@ -1,5 +1,5 @@
-// The parts of a picture under the EWA model: what `blend_forward` sums into one colour, kept apart. One thread a pixel,
-// which goes through its tile's list once for every bucket; made to be read, as it is run once per picture.
+// Picture in parts under the EWA model: the sums of `blend_forward`, kept apart. One thread per pixel, which traverses
+// its tile's list once for every bucket; written for readability, as it runs once per picture.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 //#import shared/layered.wgsl

@@ -1,16 +1,17 @@
-// The parts of a picture under the ray model: every splat at its peak along the pixel's ray, in the order of these peaks
-// and the mesh fragments. One thread a pixel.
+// Picture in parts under the ray model: every splat at its peak along the pixel's ray, in the order of these peaks and
+// the mesh fragments. One thread per pixel.
 //
-// Exact for any number of splats: the nearest SLOTS peaks behind those that were blended before are sought in the tile's
-// list and blended, until there are fewer. The list is sorted by the least depth that a splat's peak can have, so that a
-// search ends once that is beyond the farthest peak kept. About 40 flops per (splat, pixel, search).
+// Exact for any number of splats: a search of the tile's list finds the nearest SLOTS peaks behind those already
+// blended, which are then blended; repeated until there are fewer. The list is sorted by the least depth that a splat's
+// peak can have, so that a search ends once that is beyond the farthest peak kept. About 40 flops per (splat, pixel,
+// search).
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 //#import shared/sh.wgsl
 //#import shared/layered.wgsl
 
-// In units of a splat's standard deviations over the largest one: [mean's ray a, z / largest], [camera's x axis, mean's
-// pixel], [y axis, mean's pixel], [a × x axis, z], [a × y axis, 0].
+// Per splat, in units of its standard deviations over the largest one: [mean's ray a, z / largest], [camera's x axis,
+// mean's pixel], [y axis, mean's pixel], [a × x axis, z], [a × y axis, 0].
 @group(0) @binding(9) var<storage, read> rays: array<vec4f>;
 //#if SH_BY_RAY
 @group(0) @binding(10) var<storage, read> sh: array<f32>;
@@ -37,7 +38,7 @@ fn peak(i: u32, at: vec2f) -> Peak {
     let inverse = 1.0 / dot(ray, ray);
     let depth = u.w * dot(a.xyz, ray) * inverse;
     let alpha = projected[3u * i].w * exp(-0.5 * dot(across, across) * inverse);
-    // Phrased so that NaN fails.
+    // Written so that NaN fails.
     if alpha >= ALPHA_CUT && depth > view.near { return Peak(depth, min(alpha, ALPHA_CAP)); }
     return Peak(0.0, 0.0);
 }
@@ -75,12 +76,12 @@ fn main(
     let slope = (at - view.principal) / view.focal;
     let basis = sh_basis(normalize(slope.x * view.row_x.xyz + slope.y * view.row_y.xyz + view.row_z.xyz));
 //#end
-    // The last that was blended; equal depths go by index.
+    // Depth and index of the last splat blended; equal depths are ordered by index.
     var last_depth = 0.0;
     var last_splat = 0u;
     var more = true;
 //#if PATIENCE
-    // [where it is, bits of the last depth, the last splat, the next layer]
+    // Progress: [state, bits of the last depth, the last splat, the next layer].
     let before = progress.pixels[pixel];
     if before.x == FINISHED { return; }
     if before.x == UNFINISHED {
@@ -108,7 +109,7 @@ fn main(
             let p = peak(i, at);
             let is_next = p.depth > last_depth || (p.depth == last_depth && i > last_splat);
             if p.alpha != 0.0 && is_next && (p.depth < depth15 || (p.depth == depth15 && i < splat15)) {
-                // Takes its place among them; what was there moves on, and the farthest drops out.
+                // Insertion sort: the peak takes its place, farther ones move on, and the farthest drops out.
                 var depth = p.depth;
                 var alpha = p.alpha;
                 var splat = i;
@@ -157,7 +158,8 @@ fn main(
         last_depth = depth15;
         last_splat = splat15;
 //#if PATIENCE
-        // As if all of it: where the search of this pixel ends early, those of its neighbours may not, and their threads share one count.
+        // Counted in full: even where the search of this pixel ends early, those of its neighbours may not, and the
+        // limit holds for their threads together.
         passed += range.y - range.x + 4u * SLOTS;
 //#end
     }

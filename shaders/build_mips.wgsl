@@ -1,5 +1,5 @@
-// One thread per float of level `map.level`: the mean of 2×2 texels of the level before. While training, adam_texels does
-// level 1 in passing. 16 bytes read, 4 written.
+// One thread per float of level `map.level`: the mean of 2×2 texels of the level before. In training, adam_texels also
+// writes level 1. 16 bytes read, 4 written.
 
 //#import shared/view.wgsl
 //#import shared/map.wgsl

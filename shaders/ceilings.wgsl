@@ -1,20 +1,21 @@
-// What the adapter can do at best, for benchmarks: each entry point does one thing and little else.
+// Ceilings of an adapter, for benchmarks: each entry point does one thing and little else.
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
 //#import shared/fixed_add.wgsl with TARGET=target_sums BINDING=1
 //#import shared/blend.wgsl
 
-// The arithmetic of the blend with no memory: LOOPS splat·pixel evaluations per thread, one pixel each. Every parameter
-// of the splat differs from one iteration to the next, as in a list of splats, so that no term can be moved out of the
-// loop; colours and squares take turns, which costs next to nothing, the others drift.
+// Arithmetic of the blend without memory traffic: LOOPS evaluations of a splat per thread, at one pixel each. Every
+// parameter of the splat changes from one iteration to the next, as in a list of splats, so that no term can be moved
+// out of the loop; colours and squares are permuted, which costs next to nothing, the others drift.
 @compute @workgroup_size(256)
 fn evaluate(@builtin(global_invocation_id) id: vec3u) {
     let pixel = vec2f(f32(id.x & 15u), f32((id.x >> 4u) & 15u)) + 0.5;
-    // Unknown to the compiler, 0 in fact.
+    // 0, but unknown to the compiler.
     let unknown = source[0];
     var center = vec2f(7.5, 8.1) + unknown;
     var squares = vec3f(0.02, 0.05, 0.03) + unknown;
-    // So faint that hundreds of splats leave some transmittance, so flat that the tile's corners are above the cut.
+    // Opacity so low that hundreds of splats leave some transmittance; shape so flat that the tile's corners are above
+    // the cut.
     var opacity = 0.02 + unknown;
     var rgb = vec3f(0.3, 0.2, 0.1) + unknown;
     let drift = 1e-6 + unknown;

@@ -1,6 +1,6 @@
-// Whether the lists of a training step were long enough for its view. One thread; runs when the lists are made and before
-// anything is learnt from them. After a step of which they were not, none learns until the host has made longer ones: so that
-// all of these can be taken again, in their order.
+// Check whether the lists of a training step were long enough for its view. One thread; runs after the lists are made
+// and before anything is learnt from them. Once a list was too short, no step learns until the host has made longer
+// lists, so that all of these steps can be repeated, in their order.
 
 //#import shared/view.wgsl
 //#import shared/status.wgsl

@@ -1,6 +1,6 @@
 // Lists visible splats with their depth as sort key. z > near > 0, so float bits order like depths; counting from
-// `near` leaves 28 significant bits for every depth up to 2³² · near. Near planes of others may be as good as 0: from
-// LEAST on, up to 43,000 units.
+// `near` leaves 28 significant bits for every depth up to 2³² · near. Near planes of other programs may be practically
+// 0: keys count from at least LEAST, for depths up to 43,000 units.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -1,5 +1,5 @@
-// Workgroups that cover the number of items in counts[COUNT_WORD], as arguments of indirect dispatches: rows of at most WIDEST. One
-// thread per size of workgroups.
+// Number of workgroups that cover the items in counts[COUNT_WORD], as arguments of indirect dispatches: rows of at most
+// WIDEST. One thread per workgroup size.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read_write> sizes: array<vec4u>;     // workgroups across, down, 1; items to each
@@ -12,6 +12,6 @@ fn main(@builtin(local_invocation_index) i: u32) {
     let items = min(counts[COUNT_WORD], most_items[0]);
     let block = sizes[i].w;
     let groups = (items + block - 1u) / block;
-    // As Frame::dispatch folds: kernels index their groups row by row and leave out those that are too many.
+    // Folded as by Frame::dispatch: kernels index their groups row by row and ignore surplus ones.
     sizes[i] = vec4u(min(groups, WIDEST), max((groups + WIDEST - 1u) / WIDEST, 1u), 1u, block);
 }

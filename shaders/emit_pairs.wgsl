@@ -1,6 +1,7 @@
-// Writes a (tile, splat) pair for every tile a visible splat touches, in depth order, so that a stable sort by tile
-// alone leaves every tile's list in depth order. In training the sorted value is the pair's number, by which tile_ranges
-// finds its splat, and by which the blend's backward pass lays what it finds beside that of the splat's other tiles.
+// Writes a (tile, splat) pair for every tile that a visible splat touches, in depth order, so that a stable sort by
+// tile alone leaves every tile's list in depth order. In training the sorted value is the pair's number, by which
+// tile_ranges finds its splat, and the blend's backward pass the row for its sums, beside those of the splat's other
+// tiles.
 //#import shared/view.wgsl
 //#import shared/tile_rows.wgsl
 //#import shared/saturating_add.wgsl
@@ -56,8 +57,8 @@ fn main(
             at++;
         }
     }
-    // Two kernels may round differently: what was counted but not found goes to a tile that does not exist, and no tile says
-    // anything of it.
+    // Two kernels may round differently: pairs that were counted but not found go to a tile that does not exist, and
+    // contribute nothing.
 //#if TRAIN
     if at < end { tile_count[i] = at - offsets[k]; }
 //#end

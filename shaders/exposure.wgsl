@@ -1,10 +1,12 @@
-// Exposures of photographs (as in INRIA 3DGS): the picture of a view is compared as E·(r, g, b, 1), where E is a 3×4 matrix of its own.
+// Exposures of photographs (as in INRIA 3DGS): the photograph of a view is compared with E·(r, g, b, 1), where E is a
+// 3×4 matrix per view.
 //
-// `pull`: from the gradient by what was compared to that by the picture, Eᵀ·g, in place; and each workgroup's part of
-// g·(r, g, b, 1)ᵀ, the gradient by E; PER_THREAD pixels to a thread. A photograph of this alpha is over the background as it is exposed, too, and
-// what both have of that moves nothing: (1 − alpha)·(background, 1) is taken off. That is exact for L1, by differences alone; SSIM is taken for such
-// a loss. 52 bytes and 28 multiply-adds a pixel, 27 MB at 960 × 540: bound by bandwidth.
-// `update`: their sum, and a step of Adam for the view. One workgroup.
+// `pull`: converts the gradient by the exposed colours to that by the rendered ones, Eᵀ·g, in place; and sums each
+// workgroup's part of g·(r, g, b, 1)ᵀ, the gradient by E; PER_THREAD pixels per thread. A photograph with alpha is
+// composited over the exposed background, too; as this is common to both pictures, it must not move E: (1 −
+// alpha)·(background, 1) is subtracted. That is exact for L1, which depends on differences alone, and an approximation
+// for SSIM. 52 bytes and 28 multiply-adds per pixel, 27 MB at 960 × 540: bound by bandwidth.
+// `update`: total of these sums, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
 //#import shared/adam.wgsl with FLOATS=vec4f

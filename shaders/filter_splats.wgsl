@@ -1,8 +1,9 @@
-// The 3-D filter of Mip-Splatting: the standard deviation of the Gaussian with which a splat is smoothed so that it
-// has no detail that no training view could have sampled. √0.2 times the least size of a pixel, z/f, at its mean; views count
-// that have it in front and within 15 % of the image around it. Splats that none sees take the largest of the others'.
-// f is that of the view itself, where Mip-Splatting's code takes the largest of all views: a view of shorter focal length samples more
-// coarsely at the same distance. Captures of one camera are the same by either.
+// The 3-D filter of Mip-Splatting: the standard deviation of the Gaussian with which a splat is smoothed so that it has
+// no detail that no training view could have sampled. It is √0.2 times the least size of a pixel, z/f, at its mean,
+// over the views that have the mean in front and within 15 % of the image around it. Splats that no view sees take the
+// largest deviation of the others. f is that of the view itself, where Mip-Splatting's code takes the largest of all
+// views: a view of shorter focal length samples more coarsely at the same distance. For captures with one camera the
+// result is the same.
 //
 // One thread per splat, 12 multiply-adds per view; run now and then. 48 bytes read per splat, 4 written.
 

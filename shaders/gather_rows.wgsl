@@ -1,5 +1,6 @@
-// Rows of splats that are to be what others were before: all are fetched before any is put in place. Adam's moments may begin anew instead.
-// WIDTH floats a row, moved as bits: what is subnormal stays so. MOMENTS: 1 if moments; OPACITY: the column of opacity, WIDTH where there is none.
+// Rearranges rows of splats: all changed rows are fetched before any is placed. Moments of Adam may be zeroed instead.
+// WIDTH floats per row, moved as bits, so that subnormal numbers survive. MOMENTS: 1 if rows hold moments; OPACITY: the
+// column of the opacity, or WIDTH if there is none.
 //#import shared/group_index.wgsl
 
 struct Change {

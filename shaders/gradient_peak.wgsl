@@ -1,12 +1,13 @@
-// The largest of what the fragments' gradients hold, whichever way, as the bits of a positive float: NaN is larger than
-// all. It sets the unit of sums in fixed point. FRAGMENTS to a thread, 20 bytes read per pixel and layer; for MAPS 100 more per
-// fragment of one in ONE_IN.
+// The largest magnitude among the fragments' gradients, as the bits of a positive float: NaN is larger than all. It
+// sets the unit of sums in fixed point. FRAGMENTS per thread, 20 bytes read per pixel and layer; for MAPS another 100
+// per fragment, for one in ONE_IN.
 //
-// For MAPS a gradient counts times `crowd`: of the pixels that see one texel, n where they see it as this one does, each then has a
-// gradient of CROWD/n of the largest at most, and all together CROWD of it, however large the texel is in the picture. A few pixels of a
-// triangle whose corners have one place in the map would count as if they filled the picture: so the fragments that are crowded are counted,
-// too, as no more of them than that see one texel (`map_peak`). One in ONE_IN says so for all, as it takes many pixels to matter; in a loop of
-// its own, since a software adapter goes through branches that no lane takes.
+// For MAPS a gradient counts times `crowd`. If n pixels see one texel, each as this one does, each of them then has a
+// gradient of at most CROWD/n of the largest, and all together CROWD of it, however large the texel is in the picture.
+// A few pixels of a triangle whose corners coincide in the map would count as if they filled the picture: so crowded
+// fragments are counted as well, as no more than that many see one texel (`map_peak`). A sample of one in ONE_IN
+// suffices, as only many pixels matter; it has a loop of its own, since a software adapter executes branches that no
+// lane takes.
 
 //#import shared/view.wgsl
 //#if MAPS
@@ -18,13 +19,13 @@
 const ONE_IN: u32 = 8u;
 const NONE: u32 = 0xffffffffu;
 
-// Fragments that are looked at, or would be if rows went on to the next multiple of 64, of a row.
+// Number of fragments sampled per row, counting rows as if extended to a multiple of 64.
 fn looks_of_row() -> u32 {
     return (view.size.x + 63u) / 64u * 8u;
 }
 
-// The j-th of all layers: of every 64 in a row eight neighbours, which have another place in each of eight rows, so that there are as
-// many of what is thin, along rows or across, as of all else.
+// Index of the j-th sampled fragment of all layers: of every 64 in a row eight neighbours, at a different offset in
+// each of eight rows, so that thin structures along rows or across are sampled as densely as all else.
 fn looked_at(j: u32) -> u32 {
     let row = j / looks_of_row();
     let k = j - row * looks_of_row();
@@ -32,14 +33,15 @@ fn looked_at(j: u32) -> u32 {
     return select(NONE, row * view.size.x + column, column < view.size.x);
 }
 
-// Pixels that see a texel as this fragment sees its own, of the coarser of its mip levels; at most those of the picture.
+// Number of pixels that see a texel of the coarser of its mip levels, if each sees it as this fragment does; at most
+// those of the picture.
 fn pixels_of_texel(f: Fragment, pyramid: Pyramid) -> f32 {
     let seen = abs(cross2(f.uv_x * vec2f(pyramid.size), f.uv_y * vec2f(pyramid.size)));
     let area = exp2(2.0 * ceil(mip_level(f, pyramid)));         // of that texel, in those of level 0
     return area / max(seen, area / f32(view.size.x * view.size.y));
 }
 
-// Larger than 1 where they are more than a sum has room for.
+// Factor by which these exceed the room of a sum, at least 1.
 fn crowd(i: u32) -> f32 {
     let pixel = i % (view.size.x * view.size.y);
     let f = fragment(vec2u(pixel % view.size.x, pixel / view.size.x), layer_triangle[i] - 1u);
@@ -94,7 +96,7 @@ fn peak(
     var count = 0u;
     let n_groups = (n_fragments + FRAGMENTS * 256u - 1u) / (FRAGMENTS * 256u);
     let n_looks = LAYERS * view.size.y * looks_of_row();
-    // Groups that only fill up the last row of a dispatch have none.
+    // Surplus groups that fill up the last row of a dispatch sample nothing.
     let first_look = select(n_looks, group_index(group) * 256u + thread, group_index(group) < n_groups);
     for (var j = first_look; j < n_looks; j += n_groups * 256u) {
         let i = looked_at(j);

@@ -2,15 +2,15 @@
 // 11×11 Gaussian windows, σ = 1.5, zeros outside the image, mean over pixels and channels.
 //
 // With d = x − y, A = 2·m1·m2 + C1, B = 2·s12 + C2 the usual formula is S = AB / ((A + md²)(B + vd)), where md and vd
-// are the window's mean and variance of d. So four blurred maps do (y, d, d², xy) instead of five, and the gradient is
-// exactly zero where the images agree, without cancellation nearby. Its adjoint is
+// are the window's mean and variance of d. So four blurred maps (y, d, d², xy) suffice instead of five, and the
+// gradient is exactly zero where the images agree, without cancellation nearby. Its adjoint is
 //     ∂S/∂x = blur(g1) + 2d·blur(g2) + y·blur(g3),
 // with the slopes of S: g1 by the mean of x, g2 by blur(d²), g3 by blur(xy).
 //
-// A workgroup does one channel of a tile of WIDTH × HEIGHT = 16 × 40, and of the 5 pixels around it whatever windows reach. It brings these into workgroup
-// memory, threads in a row next to each other in the picture, so that every cache line is read once and whole; with a thread to a row
-// each would read lines of its own. Then rows are blurred (8 outputs a thread out of 18 inputs), in place, then columns (5 out of 15). Per
-// pixel and channel:
+// A workgroup processes one channel of a tile of WIDTH × HEIGHT = 16 × 40 pixels with the 5 pixels around it that
+// windows reach. It loads these into workgroup memory, with consecutive threads on consecutive pixels of a row, so that
+// every cache line is read once and whole; with a thread per row each would read lines of its own. Then rows are
+// blurred (8 outputs per thread out of 18 inputs), in place, then columns (5 out of 15). Per pixel and channel:
 //   forward   2.0 loads, in workgroup memory 1.0 + 1.3 × 16 B stored and 1.4 + 3 × 16 B loaded, 99 multiply-adds, 16 B written
 //   backward  2.0 loads of 16 B, in workgroup memory 1.6 + 1.3 × 16 B stored and 2.3 + 3 × 16 B loaded, 74 multiply-adds, 4 B written
 // Memory traffic is 20 + 48 B per pixel forward and 48 + 20 + 16 B backward: 79 MB at 960 × 540, some 16 µs at 5 TB/s.
@@ -20,7 +20,7 @@
 
 const REACH: u32 = 5u;
 const ROWS: u32 = HEIGHT + 2u * REACH;
-// Strides of rows, in vectors. Threads on successive rows hit different banks with each.
+// Strides of rows, in vectors, chosen so that threads on successive rows hit different banks.
 const STRIDE: u32 = WIDTH + 1u;         // of what is blurred along x, with a gap
 const PAIRS: u32 = WIDTH / 2u + REACH;  // of two numbers of each of WIDTH + 2·REACH pixels, two pixels to a vector
 const QUADS: u32 = (PAIRS + 1u) / 2u;   // of one number of each, four pixels to a vector
@@ -41,7 +41,8 @@ fn tile_of(group: u32) -> Tile {
     return Tile(vec2u(tile % across * WIDTH, tile / across * HEIGHT), group % 3u, tile < across * down);
 }
 
-// Of a tile's pixels and those around it by column and row. Wraps around above and left of the image, and is then outside, too.
+// Image position of a column and row of a tile with its surroundings. Wraps around above and left of the image, where
+// it is outside as well.
 fn pixel_around(tile: Tile, column: u32, row: u32) -> vec2u { return tile.corner + vec2u(column, row) - REACH; }
 
 fn is_inside(at: vec2u) -> bool { return all(at < view.size); }
@@ -157,7 +158,8 @@ fn backward(
     let background = view.background[tile.channel];
     let n_pixels = view.size.x * view.size.y;
 
-    // Four pixels a thread: a vector is one thread's. Of the last four in a row there are two.
+    // Four pixels per thread, so that each vector is written by one thread. The last four of a row have only two in the
+    // tile.
     for (var i = thread; i < ROWS * QUADS; i += 128u) {
         let quad = i % QUADS;
         let row = i / QUADS;
@@ -183,7 +185,7 @@ fn backward(
         var v: array<vec3f, 20>;
         //#for i in 0..5
         {
-            // Of the last, half is not used.
+            // Half of the last four is not used.
             let a = tile_memory[row * PAIRS + left / 2u + 2u * $iu];
             let b = tile_memory[row * PAIRS + left / 2u + min(2u * $iu + 1u, 8u)];
             let c = tile_memory[SINGLE + row * QUADS + left / 4u + $iu];

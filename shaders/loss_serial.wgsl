@@ -1,10 +1,11 @@
-// loss.wgsl for software adapters, which take the lanes of every load and store in turn: no workgroup memory, which is plain
-// memory there, and many outputs to a thread.
+// loss.wgsl for software adapters, which execute the lanes of every load and store in turn: without workgroup memory,
+// which is plain memory there, and with many outputs per thread.
 //
-// A thread walks down a strip of one channel, WIDTH = 8 pixels wide and HEIGHT = 64 high. It blurs a row in registers (8 outputs out of 18 loads) and adds
-// it to the sums of the windows it lies in: ten that later rows belong to as well, moved up one place on the way, and one
-// that is complete. Per pixel and channel, and a sixth more for the rows around a strip: forward 4.5 loads, 16 B written, some 160
-// multiplications and additions; backward 2.3 loads of 12 B, 2 of 4 B, 4 B written, some 110.
+// A thread walks down a strip of one channel, WIDTH = 8 pixels wide and HEIGHT = 64 high. It blurs a row in registers
+// (8 outputs out of 18 loads) and adds it to the sums of the windows it lies in: ten to which later rows belong as
+// well, moved up one place on the way, and one that is complete. Per pixel and channel, plus a sixth for the rows
+// around a strip: forward 4.5 loads, 16 B written, some 160 multiplications and additions; backward 2.3 loads of 12 B,
+// 2 of 4 B, 4 B written, some 110.
 
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
@@ -40,7 +41,7 @@ fn forward(
     var total = 0.0;
     var part: array<vec4f, 80>;         // [8, 10]: of the windows around the current row − 5, …, + 4
     for (var row = 0u; row < strip.rows; row += 1u) {
-        // Wraps around above and left of the image, and is then outside, too.
+        // Wraps around above and left of the image, where it is outside as well.
         let py = strip.corner.y + row - REACH;
         let line = min(py, size.y - 1u) * size.x;
         var v: array<vec4f, 18>;

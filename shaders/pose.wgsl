@@ -1,10 +1,11 @@
-// Poses of photographs: of every view a rotation vector ω in camera axes, radians, and a shift c of its centre in the world, so that
-// W' = exp(ω)·W and C' = C + c, W and C being what the host knows.
+// Poses of photographs: for every view a rotation vector ω in camera axes, radians, and a shift c of its centre in the
+// world, so that W' = exp(ω)·W and C' = C + c, where W and C are known to the host.
 //
-// `correct`: the view as the host wrote it becomes the corrected one, in place. One thread.
-// `pull`: parts of the gradient by ω and c, summed over splats: what depends on a mean depends on its difference from the centre, so
-// that the latter's gradient is that of the means, turned round. PARTS workgroups; 36 bytes a splat in view, bound by bandwidth.
-// `update`: their sum, and a step of Adam for the view. One workgroup.
+// `correct`: replaces the view that the host wrote by the corrected one, in place. One thread.
+// `pull`: sums over splats the parts of the gradient by ω and c: everything that depends on a mean depends on its
+// difference from the centre, so the gradient by the centre is minus that by the means. PARTS workgroups; 36 bytes per
+// visible splat, bound by bandwidth.
+// `update`: total of these sums, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
 //#import shared/adam.wgsl with FLOATS=vec4f
@@ -46,7 +47,7 @@ fn correct() {
     let w = transpose(mat3x4f(view.row_x, view.row_y, view.row_z));
     let rows = transpose(mat3x3f(turned(turn, w[0]), turned(turn, w[1]), turned(turn, w[2])));
     let center = view.center + shift;
-    // With what the sum is short of.
+    // Remainder of the sum in f32.
     let short = w[3] + (shift - (center - view.center));
     view.row_x = vec4f(rows[0], short.x);
     view.row_y = vec4f(rows[1], short.y);
@@ -84,7 +85,8 @@ fn update(@builtin(local_invocation_index) thread: u32) {
     let i = 2u * step.view + thread;
     var g = sums[256u * thread];
     if thread == 0u {
-        // What was summed is the derivative by a rotation after exp(ω): times the left Jacobian of exp, transposed, to |ω|².
+        // The sum is the derivative by a rotation after exp(ω): multiplied by the transposed left Jacobian of exp, to
+        // |ω|².
         let turn = poses[i].xyz;
         let across = cross(turn, g.xyz);
         g = vec4f(g.xyz - 0.5 * across + cross(turn, across) / 6.0, 0.0);

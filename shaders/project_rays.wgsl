@@ -1,5 +1,5 @@
-// What `blend_rays` needs of every splat, and the ellipse outside which it cannot contribute: the outline of its ellipsoid
-// of alpha ALPHA_CUT. One thread a splat.
+// Per-splat data for `blend_rays`, and the ellipse outside which a splat cannot contribute: the outline of its
+// ellipsoid of alpha ALPHA_CUT. One thread per splat.
 //
 // In coordinates δ = (slope of a pixel's ray) − (slope of the mean's ray) and with the covariance Σ' of (x − s_x z,
 // y − s_y z, z), where s is the mean's slope, that outline is the ellipse around ρ²Σ'_·z / (ρ²Σ'_zz − z²) with the matrix
@@ -38,7 +38,7 @@ fn main(
     let slope = t.xy / t.z;
     let x = view.row_x.xyz; let y = view.row_y.xyz; let z = view.row_z.xyz;
 
-    // The outline.
+    // Outline of the ellipsoid.
     let bare = max(2.0 * log(255.0 * g.opacity), 1e-6);
     let level = bare * (1.0 + ROUNDING);
     let n0 = view.focal.x * g.scale * ((x - slope.x * z) * g.rotation);
@@ -50,21 +50,21 @@ fn main(
     let spread = vec3f(dot(n0, n0), dot(n0, n1), dot(n1, n1));
     let k = level / h;
     var outline = k * (spread + k * vec3f(shear.x * shear.x, shear.x * shear.y, shear.y * shear.y)) + vec3f(SHARP, 0.0, SHARP);
-    // As in `project`.
+    // Determinant, computed as in `project`.
     let across = cross(n0, n1);
     let sheared = shear.y * n0 - shear.x * n1;
     var det = k * k * (dot(across, across) + k * dot(sheared, sheared)) + SHARP * (outline.x + outline.z - SHARP);
     let mean = view.focal * slope + view.principal;
     var center = mean - k * shear;
     let reach = max(outline.x, outline.z);
-    // It reaches the camera's plane or past it: seen everywhere, as far as the lists are concerned.
+    // The ellipsoid reaches the camera's plane or past it: for the lists it is visible everywhere.
     if !(h > 1e-3 * t.z * t.z) || !(reach < 1e12) || !(max(abs(center.x), abs(center.y)) < 1e7) {
         let side = 2.0 * f32(max(view.size.x, view.size.y));
         outline = vec3f(side * side, 0.0, side * side);
         det = outline.x * outline.z;
         center = 0.5 * vec2f(view.size);
     }
-    // Of the outline at the level that `ellipse` takes it at, which is not widened.
+    // Squares of the outline at the level that `ellipse` uses, which is not widened.
     let squares = vec3f(bare, outline.y, 0.0) / outline.x + vec3f(0.0, 0.0, bare * outline.x / det);
     let e = ellipse(center, squares, g.opacity);
     let rows = row_span(e, view.tiles);
@@ -75,14 +75,14 @@ fn main(
     }
     if count == 0u { return; }
 
-    // The ray in units of standard deviations, each by its ratio to the largest.
+    // The mean's ray in units of standard deviations, each relative to the largest.
     let largest = max(g.scale.x, max(g.scale.y, g.scale.z));
     let s = max(g.scale / largest, vec3f(1e-7));
     let areas = vec3f(s.y * s.z, s.z * s.x, s.x * s.y);
     rays[5u * i] = vec4f(((slope.x * x + slope.y * y + z) * g.rotation) / s, t.z / largest);
     rays[5u * i + 1u] = vec4f((x * g.rotation) / s, mean.x);
     rays[5u * i + 2u] = vec4f((y * g.rotation) / s, mean.y);
-    // The cross products of the former with the latter two, in a form without cancellation.
+    // Cross products of the former with the latter two, in a form without cancellation.
     rays[5u * i + 3u] = vec4f(((y - slope.y * z) * g.rotation) / areas, t.z);
     rays[5u * i + 4u] = vec4f(((slope.x * z - x) * g.rotation) / areas, 0.0);
 

@@ -1,5 +1,5 @@
-// Projects every splat: screen ellipse, colour, depth key and the number of tiles it touches (0 = culled).
-// One thread a splat. Reads 48 + 12·(d+1)² bytes, writes 56 (8 if culled).
+// Projects every splat: screen ellipse, colour, depth key and the number of tiles it touches (0 = culled). One thread
+// per splat. Reads 48 + 12·(d+1)² bytes, writes 56 (8 if culled).
 //#import shared/view.wgsl
 //#import shared/finite.wgsl
 //#import shared/blend.wgsl
@@ -11,7 +11,7 @@
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
-// 3 per splat: [centre, depth, opacity], [squares, 0], [colour, disparity].
+// 3 vectors per splat: [centre, depth, opacity], [squares, 0], [colour, disparity].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
 @group(0) @binding(5) var<storage, read_write> visible: array<u32>;
@@ -29,13 +29,13 @@ fn main(
     var p = project(view, g);
     if view.dropout > 0.0 {
         if unit_numbers(random_words(vec4u(i, view.dropout_seed, 0u, 1u))).x < view.dropout { return; }
-        // On the mean over steps a pixel sees as much of it.
+        // Keeps the expected contribution to a pixel over steps.
         p.opacity /= 1.0 - view.dropout;
     }
-    // A compiler may take it that comparisons never see NaN.
+    // Tested by bits, as a compiler may assume that comparisons never see NaN.
     if !are_finite(vec4f(p.center, p.det, p.t.z)) { return; }
     if !(p.t.z > view.near) || !(p.opacity >= ALPHA_CUT) { return; }
-    // Without a filter one that is seen edge-on has no area; what follows overflows there.
+    // Without a filter a splat seen edge-on has no area, and what follows would overflow.
     if !(p.det > 1e-20) { return; }
     let e = ellipse(p.center, p.squares, p.opacity);
     if !(max(e.extent.x, e.extent.y) < 1e6) || !(max(abs(p.center.x), abs(p.center.y)) < 1e7) { return; }

@@ -1,11 +1,12 @@
-// One pass of a stable radix sort of (key, value) pairs by up to eight bits, least significant digit first. Three dispatches:
-// how often blocks have each digit, where every block's first pair of a digit goes, scatter. For adapters with many lanes; see
-// radix_sort_serial.wgsl for the other kind.
+// One pass of a stable radix sort of (key, value) pairs by up to eight bits, least significant digit first. Three
+// dispatches: digit counts of blocks, destination of each block's first pair of a digit, scatter. For adapters with
+// many lanes; see radix_sort_serial.wgsl for the others.
 //
-// A BLOCK is 256 threads × 8 consecutive pairs; there are DIGITS = 256. A block is put in order in workgroup memory first, so that the
-// writes of neighbouring threads are neighbours: by one half of the digit, then by the other, each of which a thread counts in its own
-// pairs, so that the scan over (half, thread) is stable without atomics. What is moved there is a word of digit and place in the block; pairs
-// are fetched once they are in order, from the cache. A pass reads 12 bytes of a pair, that cache apart, and writes 8.
+// A BLOCK is 256 threads × 8 consecutive pairs; there are DIGITS = 256. A block is sorted in workgroup memory first, so
+// that neighbouring threads write to neighbouring places: by one half of the digit, then by the other. Each thread
+// counts the digits of its own pairs, so that the scan over (half, thread) is stable without atomics. Only a word of
+// digit and place in the block is moved there; pairs are fetched once they are in order, from the cache. A pass reads
+// 12 bytes per pair, that cache apart, and writes 8.
 
 struct Pass {
     shift: u32,
@@ -17,7 +18,7 @@ struct Pass {
 @group(0) @binding(2) var<storage, read> values_in: array<u32>;
 @group(0) @binding(3) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(4) var<storage, read_write> values_out: array<u32>;
-// [digit]: of all blocks; behind that [digit][block].
+// [digit] of all blocks together, then [digit][block].
 @group(0) @binding(5) var<storage, read_write> histograms: array<u32>;
 @group(0) @binding(6) var<uniform> digit_bits: Pass;
 
@@ -48,7 +49,7 @@ fn of_block(digit: u32, block: u32, n_blocks: u32) -> u32 {
     return DIGITS + digit * n_blocks + block;
 }
 
-// So that 32 threads which read eight consecutive words each hit different banks.
+// Padded index, by which 32 threads that read eight consecutive words each hit different banks.
 fn spread(place: u32) -> u32 {
     return place + place / 32u;
 }
@@ -62,7 +63,8 @@ fn count(
     let block = group_index(group);
     atomicStore(&digit_counts[thread], 0u);
     workgroupBarrier();
-    // Pairs of the same digit in a row are added at once: where all have it, 256 additions to one counter wait for each other in place of 2,048.
+    // Runs of pairs with the same digit are added at once: where all have it, 256 additions to one counter wait for
+    // each other in place of 2,048.
     let start = block * BLOCK + thread * 8u;
     var digit = 0u;
     var run = 0u;
@@ -85,7 +87,7 @@ fn count(
     }
 }
 
-// A workgroup to a digit: the sums of all blocks before each, and of all.
+// One workgroup per digit: sums over all blocks before each, and over all.
 @compute @workgroup_size(256)
 fn scan(
     @builtin(workgroup_id) group: vec3u,
@@ -115,7 +117,7 @@ fn scan(
     if thread == 0u { histograms[digit] = carry; }
 }
 
-// Puts the words of a block, eight of which each thread has, into the order of four of their bits and leaves them in `words`.
+// Sorts the words of a block, eight per thread, by four of their bits, and leaves them in `words`.
 fn order_by(bits: u32, thread: u32, mine: ptr<function, array<u32, 8>>) {
     // Counters are 16 bits wide (≤ BLOCK): values h and h+8 share a word.
     //#for k in 0..8
@@ -162,7 +164,7 @@ fn scatter(
     let block = group_index(group);
     let first = block * BLOCK;
 
-    // What lies behind the last pair has the highest digit, so that it stays behind.
+    // Words behind the last pair get the highest digit, so that they stay behind.
     var mine: array<u32, 8>;
     //#for k in 0..8
     mine[$k] = ((DIGITS - 1u) << PLACE_BITS) | (thread * 8u + $ku);
@@ -177,7 +179,7 @@ fn scatter(
     workgroupBarrier();
     order_by(PLACE_BITS + 4u, thread, &mine);
 
-    // Where a block's pairs of a digit go, less where they are in it.
+    // Destination of a block's pairs of a digit, minus their place in it.
     var of_digit = 0u;
     var base = 0u;
     if thread <= digit_bits.mask && block < n_blocks {
@@ -186,7 +188,7 @@ fn scatter(
     }
     digit_base[thread] = base + workgroup_scan(thread, of_digit);
     workgroupBarrier();
-    // The k-th pair to write is number k·256 + thread of the ordered block.
+    // The k-th pair to write is number k·256 + thread of the sorted block.
     //#for k in 0..8
     let place$k = $ku * 256u + thread;
     let word$k = words[spread(place$k)];

@@ -5,8 +5,8 @@
 // staged. No clipping and no division before the depth is needed: triangles through the camera plane are exact too.
 //
 // Per (triangle, bin): 52 bytes read, 64 bytes of workgroup memory. Per (triangle, pixel): 6 fma, 5 min/max; per hit
-// another 8 flops and LAYERS compare-exchanges. Writes 8 bytes per pixel and layer.
-// A thread owns PER_THREAD pixels, so that it reads a staged triangle once for all of them; THREADS have the BIN × BIN of a bin.
+// another 8 flops and LAYERS compare-exchanges. Writes 8 bytes per pixel and layer. A thread owns PER_THREAD pixels, so
+// that it reads a staged triangle once for all of them; THREADS cover the BIN × BIN pixels of a bin.
 
 //#import shared/view.wgsl
 
@@ -33,7 +33,8 @@ struct Staged {
 var<workgroup> staged: array<Staged, BATCH>;
 var<workgroup> range: vec2u;
 
-// Edge p→q, evaluated in its canonical direction: middle, change to the right, change down.
+// Edge function of p→q, evaluated in the edge's canonical direction: at the bin's centre, change to the right, change
+// down.
 fn edge(p: vec3f, q: vec3f, direction: f32) -> vec3f {
     let forward = direction > 0.0;
     let a = select(q, p, forward);
@@ -64,8 +65,8 @@ fn stage(triangle: u32, ray: vec2f) -> Staged {
     );
 }
 
-// Of the two triangles at an edge exactly one owns the pixel centres that lie on it, as in hardware and in the
-// reference: those to whose inside the edge function grows to the right, or down where it does not change to the
+// Top-left rule: of two triangles at an edge exactly one owns the pixel centres that lie on it, as in hardware and in
+// the reference: the one to whose inside the edge function grows to the right, or down if it does not change to the
 // right. Otherwise a surface would be blended twice there.
 fn owns_edges(t: Staged, a: vec3f, sum: f32) -> bool {
     let inward = select(t.right, t.down, t.right == vec3f(0.0)) * sign(sum);
@@ -121,7 +122,7 @@ fn raster(
                 if low >= 0.0 || high <= 0.0 {
                     let sum = a.x + a.y + a.z;
                     var z = dot(a, t.z) / sum;
-                    // Not for a degenerate triangle (sum 0: z is not a number) nor behind the near plane.
+                    // Excludes degenerate triangles (sum 0: z is NaN) and hits behind the near plane.
                     if z > view.near && z < FAR && sum != 0.0 && owns_edges(t, a, sum) {
                         var id = t.triangle;
                         //#for l in 0..LAYERS

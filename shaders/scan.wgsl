@@ -36,7 +36,8 @@ fn sum_blocks(
 
 @compute @workgroup_size(256)
 fn scan_sums(@builtin(local_invocation_index) thread: u32) {
-    // There are barriers in the loop, and not every compiler sees that all threads read the same.
+    // Loaded uniformly: there are barriers in the loop, and not every compiler sees that all threads read the same
+    // value.
     if thread == 0u { shared_count = item_count(); }
     let n_blocks = (workgroupUniformLoad(&shared_count) + BLOCK - 1u) / BLOCK;
     var carry = 0u;

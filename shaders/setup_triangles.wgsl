@@ -16,8 +16,9 @@ fn position(i: u32) -> vec3f {
     return vec3f(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]);
 }
 
-// +1 if edge a→b is walked in its canonical direction, by position: vertices may be copies, as along seams and hard edges. Both triangles of
-// an edge evaluate it in that direction and multiply by this sign, so they agree exactly on which side a pixel is, whatever the adapter's rounding.
+// +1 if edge a→b is traversed in its canonical direction, decided by position, as vertices may be copies, along seams
+// and hard edges. Both triangles of an edge evaluate it in that direction and multiply by this sign, so they agree
+// exactly on which side a pixel is, whatever the adapter's rounding.
 fn direction(a: vec3f, b: vec3f) -> f32 {
     let is_before = select(select(a.z < b.z, a.y < b.y, a.y != b.y), a.x < b.x, a.x != b.x);
     return select(-1.0, 1.0, is_before);
@@ -33,7 +34,7 @@ fn include(box: Box, p: vec3f) -> Box {
     return Box(min(box.low, uv), max(box.high, uv));
 }
 
-// Adds what is in front of the near plane of edge a→b: its first end and its intersection.
+// Includes the part of edge a→b in front of the near plane: its first end and its intersection.
 fn include_edge(box: Box, a: vec3f, b: vec3f) -> Box {
     var result = box;
     if a.z > view.near {
@@ -72,7 +73,7 @@ fn setup(
     let size = vec2f(view.size);
     // Also false for NaN.
     if !(all(box.high >= vec2f(0.0)) && all(box.low < size)) { return; }
-    // Only pixel centres count, half a pixel inside their bin: a margin for rounding at no cost.
+    // Only pixel centres count, half a pixel inside their bin, which gives a margin for rounding at no cost.
     let first = vec2u(max(box.low, vec2f(0.0))) / BIN;
     let last = min(vec2u(min(box.high, size)) / BIN, (view.size - 1u) / BIN);
     boxes[i] = vec2u(first.x | (first.y << 16u), last.x | (last.y << 16u));

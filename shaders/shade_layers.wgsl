@@ -9,8 +9,8 @@
 //#import shared/mesh_fragment.wgsl
 
 @group(0) @binding(5) var<storage, read> base_texels: array<vec4f>;     // [texels]: DC rgb, opacity logit
-// [texels, (d+1)²−1, 3]. Where texels begin at multiples of four floats, as at degree 2 alone, they are read in fours: a
-// software adapter takes each lane in turn, and for four floats of one as long as for two reads of one.
+// [texels, (d+1)²−1, 3]. If texels begin at multiples of four floats, as at degree 2 only, they are read as vectors: a
+// software adapter executes lanes in turn, and loads a vector of four in the time of two single floats.
 //#if FOURS
 @group(0) @binding(6) var<storage, read> band_texels: array<vec4f>;
 //#else
@@ -34,7 +34,7 @@ fn sample_base(pyramid: Pyramid, f: Fragment) -> vec4f {
 
 //#if BANDS
 //#if FOURS
-// Σ of four coefficients, y their basis functions, from the i-th four floats on.
+// Sum of four coefficients times their basis functions y, from vector i on.
 fn four_rgb(y: vec4f, i: u32) -> vec3f {
     let a = band_texels[i];
     let b = band_texels[i + 1u];

@@ -1,7 +1,8 @@
-// From the screen-space moments of `blend_backward` to gradients of a splat's parameters, and the
-// statistics of density control. One thread a splat; those that are not visible have no gradient, and whatever was there stays. With POSES also its part of the gradient by the pose's
-// rotation: as W' = exp(ω)·W it turns t and the rows J of the projection. `pose` sums it, without barriers in this large function, of
-// which Mesa's software adapter would make coroutines for minutes.
+// Converts the screen-space moments of `blend_backward` to gradients of a splat's parameters, and to the statistics of
+// density control. One thread per splat; gradients of splats that are not visible are stale. With POSES also a splat's
+// part of the gradient by the pose's rotation: W' = exp(ω)·W rotates t and the rows J of the projection. `pose` sums
+// these parts in a kernel without this large function, which Mesa's software adapter takes minutes to compile if there
+// are barriers in it.
 //#import shared/view.wgsl
 //#import shared/projection.wgsl
 //#import shared/blend.wgsl
@@ -17,8 +18,8 @@
 @group(0) @binding(5) var<storage, read> moments: array<f32>;
 @group(0) @binding(6) var<storage, read_write> geometry_gradient: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> sh_gradient: array<Floats>;
-// Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, views in which it was visible, blend weight, and, where ABSOLUTE, the
-// first with the sums of what every pixel pulls, else 0.
+// Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, number of views in which it was visible, blend weight, and, if
+// ABSOLUTE, the first with sums of absolute values over pixels, else 0.
 @group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
 @group(0) @binding(9) var<storage, read_write> status: Status;
 //#if POSES
@@ -44,7 +45,7 @@ fn main(
     let p = project(view, g);
     let q = p.squares;
 
-    // Colour: clamped channels pass nothing.
+    // Clamped colour channels pass no gradient.
     let offset = g.mean - view.center;
     let distance = length(offset);
     let direction = offset / distance;
@@ -52,7 +53,7 @@ fn main(
     let slopes = sh_basis_gradient(direction);
     let active_terms = (view.sh_degree + 1u) * (view.sh_degree + 1u);
     g_color = select(vec3f(0.0), g_color, projected[3u * i + 2u].xyz > vec3f(0.0));
-    // Its coefficients, then what the loss asks of each.
+    // Coefficients, overwritten below by their gradients.
     var coefficients = sh_coefficients(i, SH_TERMS);
     var g_direction = vec3f(0.0);
 //#for k in 0..SH_TERMS
@@ -76,17 +77,17 @@ fn main(
 
     // Offsets δ = L·(dx, y) and Q = Σ'⁻¹ = L⁻ᵀ·D·L⁻¹, with L = [1, 0; q.y, 1] and D = diag(q.x, q.z). Screen mean: ∂power/∂u = Qδ.
     let g_uv = pull(q, sd.x, sd.y);
-    // Screen covariance: G_Σ = Q·(½Σp·δδᵀ)·Q. Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm: the derivative by n is
-    // 2·G_Σ·n = L⁻ᵀ·(D·Σp·(dx, y)(dx, y)ᵀ)·(Lᵀ·Q·n), where Lᵀ·Q·n = (q.x·n0, a1) if a = Q·n. That without differences of products,
-    // of which a needle's agree in all of their digits.
+    // Screen covariance: G_Σ = Q·(½Σp·δδᵀ)·Q. Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm: the derivative by n
+    // is 2·G_Σ·n = L⁻ᵀ·(D·Σp·(dx, y)(dx, y)ᵀ)·(Lᵀ·Q·n), where Lᵀ·Q·n = (q.x·n0, a1) if a = Q·n. This form avoids
+    // differences of products, which for a needle agree in all of their digits.
     let across = cross(p.n0, p.n1);
     let k = view.filter_variance;
     let a0 = (cross(p.n1, across) + k * p.n0) / p.det;
     let a1 = (cross(across, p.n0) + k * p.n1) / p.det;
     var g_n1 = q.z * (sdd.y * q.x * p.n0 + sdd.z * a1);
     var g_n0 = q.x * (sdd.x * q.x * p.n0 + sdd.y * a1) - q.y * g_n1;
-    // power = ln(alpha/opacity), so that sp is the derivative by the logarithm of the opacity and of all its factors. That
-    // of the pixel filter is |n0 × n1| / √det Σ'.
+    // power = ln(alpha/opacity), so sp is the derivative by the logarithm of the opacity and of each of its factors.
+    // The factor of the pixel filter is |n0 × n1| / √det Σ'.
     if view.filter_normalized != 0u {
         let inverse = across / dot(across, across);
         g_n0 += sp * (cross(p.n1, inverse) - a0);
@@ -95,7 +96,7 @@ fn main(
     let g_m0 = g.rotation * (g.scale * g_n0);
     let g_m1 = g.rotation * (g.scale * g_n1);
 
-    // J from t; where t.xy is clamped, x̂ = z·limit moves with z alone.
+    // Gradient of J by t; where t.xy is clamped, x̂ = z·limit depends on z alone.
     let w0 = view.row_x.xyz; let w1 = view.row_y.xyz; let w2 = view.row_z.xyz;
     let f = view.focal;
     let z = p.t.z;
@@ -117,7 +118,7 @@ fn main(
     turn_gradient[i] = vec4f(cross(p.t, g_t) - by_rows, 0.0);
 //#end
 
-    // n = Nᵀm, N = R·diag(scale): G_N = m0·g_n0ᵀ + m1·g_n1ᵀ. Smoothing leaves Π s/s̃ of the opacity.
+    // n = Nᵀm, N = R·diag(scale): G_N = m0·g_n0ᵀ + m1·g_n1ᵀ. Smoothing multiplies the opacity by Π s/s̃.
     let g_log_scale = g.own_share * (p.n0 * g_n0 + p.n1 * g_n1) + sp * (1.0 - g.own_share);
     // H = G_N·diag(scale): h_j is its column j.
     let h0 = g.scale.x * (p.m0 * g_n0.x + p.m1 * g_n1.x);

@@ -1,7 +1,7 @@
-// What tiles found of a splat, added up in one order of its tiles: the sum is the same in every run. On GPUs a thread per splat in
-// view and moment: neighbouring threads read a row of moments together, and rows in a row. On software adapters, which take the lanes of
-// every load in turn, a thread per splat with all of its moments, two to a load where their number is even. Per (tile, splat) pair
-// 4·MOMENTS bytes read.
+// Adds up the per-tile sums of a splat in a fixed order of its tiles, so that the sum is the same in every run. On GPUs
+// one thread per visible splat and moment: neighbouring threads read a row of moments together, and consecutive rows.
+// On software adapters, which execute the lanes of every load in turn, one thread per splat with all of its moments,
+// two per load if their number is even. Per (tile, splat) pair 4·MOMENTS bytes read.
 
 //#import shared/group_index.wgsl
 //#import shared/saturating_add.wgsl
@@ -22,7 +22,7 @@ alias Value = f32;
 const THREADS_A_SPLAT: u32 = VALUES / TOGETHER;
 //#if BY_EIGHT
 
-// Of one value of eight rows.
+// Sum of one value over eight rows.
 fn eight(at: u32) -> f32 {
     return ((rows[at] + rows[at + VALUES]) + (rows[at + 2u * VALUES] + rows[at + 3u * VALUES]))
         + ((rows[at + 4u * VALUES] + rows[at + 5u * VALUES]) + (rows[at + 6u * VALUES] + rows[at + 7u * VALUES]));
@@ -47,8 +47,8 @@ fn main(
     //#end
     var row = max(first, WINDOW_START);
 //#if BY_EIGHT
-    // A splat before the whole picture has thousands of rows, and nothing to do while it waits for each: 32 are on their way at once, which
-    // come to the same as eight at a time.
+    // A splat that covers the whole picture has thousands of rows, and nothing to hide their latency behind: 32 are
+    // loaded at once, summed in the same order as eight at a time.
     for (; row + 32u <= end; row += 32u) {
         let at = (row - WINDOW_START) * VALUES + value;
         let first_eight = eight(at);

@@ -1,14 +1,14 @@
-// Scatters the gradient of every fragment's colour and alpha to its texels, a thread to a fragment, a workgroup to ACROSS × DOWN pixels
-// of a layer.
+// Scatters the gradient of every fragment's colour and alpha to its texels, one thread per fragment, one workgroup per
+// ACROSS × DOWN pixels of a layer.
 //
-// ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets that
-// times its trilinear weight, also at coarse levels; adam_texels hands those down to level 0. No gradient
-// flows to uv, mip level or direction.
+// ∂T_k = Y_k ∂rgb where the channel is not clamped at 0, ∂A = α(1−α) ∂α where α is not clamped. Every texel gets this
+// times its trilinear weight, also at coarse levels, which adam_texels passes down to level 0. No gradient flows to UV,
+// mip level or direction.
 //
-// Neighbours see the same texels, those of the bands above all. So a subgroup takes the texels that its fragments see one by one,
-// sums up what all of them give to it, and adds every sum once, each by a lane of its own: per texel that a subgroup sees 4 atomic additions
-// to the base and 3·((d+1)²−1) to the bands, 24 at degree 2. Without subgroups there are as many for each of a fragment's 4 or 8 texels.
-// Per fragment 112 bytes read.
+// Neighbouring pixels see the same texels, in the bands above all. So a subgroup processes the texels that its
+// fragments see one by one, sums the contributions of all fragments to it, and adds every sum once, each by its own
+// lane: 4 atomic additions to the base and 3·((d+1)²−1) to the bands, 24 at degree 2, per texel that a subgroup sees.
+// Without subgroups there are as many for each of a fragment's 4 or 8 texels. Per fragment 112 bytes read.
 
 //#import shared/view.wgsl
 //#import shared/sh.wgsl
@@ -42,7 +42,7 @@ fn backward(
     let is_seen = any(g != vec4f(0.0));
 //#if SUBGROUPS
     if !subgroupAny(is_seen) { return; }
-    // Counted: some drivers say another subgroup_size than they compile for.
+    // Counted at run time: some drivers report another subgroup_size than they compile for.
     let lanes = subgroupAdd(1u);
 //#else
     if !is_seen { return; }
@@ -62,7 +62,7 @@ fn backward(
             if texel == NONE { break; }
             let is_it = left == vec4u(texel);
             left = select(left, vec4u(NONE), is_it);
-            // Of the four more than one at the border of a map.
+            // More than one of the four taps at the border of a map.
             let weight = dot(select(vec4f(0.0), t.weight, is_it), vec4f(1.0));
             let sum = subgroupAdd(vec4i(round(weight * base_g)));
             for (var c = lane; c < 4u; c += lanes) { atomicAdd(&base_gradient[4u * texel + c], select(select(sum.x, sum.y, c == 1u), select(sum.z, sum.w, c == 3u), c >= 2u)); }

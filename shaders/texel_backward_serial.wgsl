@@ -1,5 +1,5 @@
-// texel_backward.wgsl for software adapters, which take the lanes of an atomic addition in turn: a thread walks DOWN pixels
-// down a column.
+// texel_backward.wgsl for software adapters, which execute the lanes of an atomic addition in turn: each thread walks
+// DOWN pixels down a column.
 //
 // Neighbouring pixels share texels: a footprint moves by at most about a texel from one to the next. The thread sums in
 // registers while a texel stays in the footprint and adds it to memory when it leaves. Per fragment 112 bytes read; per
@@ -50,10 +50,10 @@ fn backward(
     //#end
     //#end
     //#if BANDS
-    // Coefficients that are learnt now: what is 0 for all texels need not be added.
+    // Coefficients that are learnt now; those that are 0 for all texels need not be added.
     let terms = (view.band_degree + 1u) * (view.band_degree + 1u);
     //#end
-    // One step more than there are pixels: it holds nothing, so that everything leaves.
+    // One step more than there are pixels, without a texel, so that all held ones are written.
     for (var step = 0u; step <= DOWN; step += 1u) {
         let y = top + step;
         let pixel = (layer * view.size.y + y) * view.size.x + x;
@@ -110,8 +110,8 @@ fn backward(
             //#end
         }
 
-        // One texel that leaves at a time: a software adapter takes the lanes of every addition that is written here in turn,
-        // also when no texel leaves.
+        // One leaving texel at a time: a software adapter executes every addition written here for each lane in turn,
+        // even when no texel leaves.
         loop {
             var leaves = NONE;
             var sum = vec4f(0.0);

@@ -1,5 +1,6 @@
-// First and one-past-last pair of every tile in the sorted list, and in training the splat of every pair. `ranges` must be zeroed
-// before. Two invocations write what others read as one vec2u, by words: a write to a component of a vector may write all of it.
+// First and one-past-last pair of every tile in the sorted list, and in training the splat of every pair. `ranges` must
+// be zeroed before. Two invocations write the halves of what others read as one vec2u, hence single words: a write to a
+// component of a vector may write all of it.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -27,7 +28,7 @@ fn main(
     let splat = splat_of[number];
     values[i] = splat;
     numbered[i] = vec2u(splat, number);
-    // After those of the tiles: how many pairs there are.
+    // The number of pairs, after the ranges of the tiles.
     if i == 0u { ranges[2u * tiles] = n; }
 //#end
     if tile >= tiles { return; }

@@ -1,5 +1,5 @@
-// One thread per pixel and layer: turns the gradient of the fragment's colour and alpha into that of its triangle's vertices,
-// along their normals, in place; vertex_backward adds them up.
+// One thread per pixel and layer: converts the gradient of the fragment's colour and alpha to that of its triangle's
+// vertices, along their normals, in place; vertex_backward adds them up.
 //
 // ∂L/∂uv = Σ over taps of (∂weight/∂uv) · (∂L/∂sample · texel), at constant mip level. Must follow
 // texel_backward, which reads the gradient that is overwritten here. Reads what shade_layers reads and 160 bytes, writes
@@ -88,7 +88,7 @@ fn sample_bands(map: Maps, f: Fragment, degree: u32) -> Sample {
 }
 //#end
 
-// From the gradient by the uv where the pixel's ray meets the triangle.
+// Gradient along the vertices' normals from the gradient by the UV where the pixel's ray meets the triangle.
 fn by_vertices(d_uv: vec2f, pixel: u32, triangle: u32) -> vec3f {
     if all(d_uv == vec2f(0.0)) { return vec3f(0.0); }
     let at = vec2f(f32(pixel % view.size.x), f32(pixel / view.size.x));
@@ -135,7 +135,7 @@ fn backward(
     let pixel = i % area;
     let f = fragment(vec2u(pixel % view.size.x, pixel / view.size.x), triangle - 1u);
     let map = maps[f.mesh];
-    // The zeroth basis function is a constant: base texels times it are colours.
+    // The zeroth basis function is a constant, by which base texels are multiplied to give colours.
     let scale = vec4f(vec3f(SH_C0), 1.0);
     let base = sample_base(map.base, f);
     var value = scale * base.value + vec4f(vec3f(0.5), 0.0);

@@ -1,5 +1,5 @@
-// One thread per pixel and layer: adds what uv_backward found of the fragment to its triangle's vertices. Three to six atomic additions of
-// integers per fragment, three where sums keep their sign; 68 bytes read.
+// One thread per pixel and layer: adds the gradient from uv_backward to the triangle's vertices. Three to six atomic
+// additions of integers per fragment, three where sums keep their sign; 68 bytes read.
 
 //#import shared/view.wgsl
 //#import shared/fixed_point.wgsl
@@ -25,7 +25,8 @@ fn backward(
         let vertex = corner_normals[3u * triangle + k].w;
         let units = i32(round(g[k]));
         if units == 0 { continue; }
-        // 64 bits in two words: the high one gets the sign of the term and the carry of the low one, which often cancel.
+        // 64-bit addition in two words: the high one gets the sign of the term and the carry of the low one, which
+        // often cancel.
         let low = bitcast<u32>(units);
         let before = atomicAdd(&vertex_gradient[2u * vertex], low);
         let high = u32(before + low < before) - u32(units < 0);

@@ -1,4 +1,4 @@
-//! Files that are written whole or not at all, however the program ends.
+//! Atomic writing of files: complete or not at all, however the program ends.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -8,19 +8,20 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tempfile::TempDir;
 
-/// What is under a temporary name now, and where it belongs, if it is to be back there.
+/// Temporary paths in use, each with the place to which it is to be restored, if any.
 static LISTED: Mutex<BTreeMap<PathBuf, Option<PathBuf>>> = Mutex::new(BTreeMap::new());
 
 fn list() -> MutexGuard<'static, BTreeMap<PathBuf, Option<PathBuf>>> {
     LISTED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// For a program that is about to end without unwinding, as by a signal: removes the temporary files and folders that are being written, and puts
-/// back what is [`Aside`]. Whoever is about to make one, or is done with one, waits for that end.
+/// Cleans up before the program ends without unwinding, for example by a signal: removes the temporary files and
+/// folders being written, and restores files that are [`Aside`]. Threads about to create or finish a temporary file
+/// block until the program ends.
 pub fn abandon_all() {
     let list = list();
     for (path, place) in list.iter() {
-        // Nobody is left who could be told.
+        // Errors cannot be reported any more.
         let _ = match place {
             Some(place) => put_back(path, place).map(drop),
             None if path.is_dir() => fs::remove_dir_all(path),
@@ -30,12 +31,13 @@ pub fn abandon_all() {
     std::mem::forget(list);
 }
 
-/// Keeps [`abandon_all`] waiting as long as what it returns is held: temporary folders hold what would be lost with them.
+/// Blocks [`abandon_all`] while the returned guard is held, because removing temporary folders would lose the files in
+/// them.
 pub(crate) fn undisturbed() -> impl Drop {
     list()
 }
 
-/// Whether nothing had taken the place.
+/// Renames `path` to `place`, unless `place` is taken; whether it did.
 fn put_back(path: &Path, place: &Path) -> io::Result<bool> {
     let is_free = !place.exists();
     if is_free {
@@ -44,7 +46,7 @@ fn put_back(path: &Path, place: &Path) -> io::Result<bool> {
     Ok(is_free)
 }
 
-/// An entry of the list.
+/// Entry of the list of temporary paths, removed on drop.
 struct Listed(PathBuf);
 
 impl Drop for Listed {
@@ -53,7 +55,7 @@ impl Drop for Listed {
     }
 }
 
-/// Makes a temporary file or folder, with its entry, which has to be dropped after it.
+/// Creates a temporary file or folder and its list entry, which must be dropped last.
 fn listed<T: AsRef<Path>>(make: impl FnOnce() -> io::Result<T>) -> io::Result<(Listed, T)> {
     let mut list = list();
     let temporary = make()?;
@@ -62,14 +64,15 @@ fn listed<T: AsRef<Path>>(make: impl FnOnce() -> io::Result<T>) -> io::Result<(L
     Ok((Listed(path), temporary))
 }
 
-/// A hidden folder for files on their way to one beside it; removed with what is left in it.
+/// Hidden temporary folder for files that will be renamed to a place beside it; removed with its remaining content on
+/// drop.
 pub struct Staging {
     folder: TempDir,
     _listed: Listed,
 }
 
 impl Staging {
-    /// A new one.
+    /// Creates a staging folder within `folder`.
     ///
     /// # Errors
     /// If `folder` does not exist or cannot be written to.
@@ -78,24 +81,25 @@ impl Staging {
         Ok(Self { folder, _listed: listed })
     }
 
-    /// Where it is.
+    /// Path of the staging folder.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 }
 
-/// A file under another name, where nothing overwrites it.
+/// File renamed out of the way, where nothing overwrites it.
 pub struct Aside {
     listed: Listed,
     place: PathBuf,
 }
 
 impl Aside {
-    /// Renames `place` to `name`, for good unless [`Self::back`] or [`abandon_all`] comes before this is dropped.
+    /// Renames `place` to `name`; permanent unless [`Self::back`] or [`abandon_all`] is called before the value is
+    /// dropped.
     ///
     /// # Errors
-    /// If it cannot be renamed.
+    /// If the file cannot be renamed.
     pub fn set(place: PathBuf, name: PathBuf) -> io::Result<Self> {
         let mut list = list();
         fs::rename(&place, &name)?;
@@ -103,25 +107,25 @@ impl Aside {
         Ok(Self { listed: Listed(name), place })
     }
 
-    /// Its name now.
+    /// Current path of the file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.listed.0
     }
 
-    /// Gives it its own name again, unless something else has that now; whether it did.
+    /// Renames the file back to its original name, unless that is taken by now; whether it did.
     ///
     /// # Errors
-    /// If it cannot be renamed.
+    /// If the file cannot be renamed.
     pub fn back(self) -> io::Result<bool> {
         put_back(self.path(), &self.place)
     }
 }
 
-/// The folder that a file is in.
+/// Folder of a file.
 #[must_use]
 pub fn folder_of(file: &Path) -> &Path {
-    // That of a bare name is empty, which names no folder.
+    // The parent of a bare name is the empty path, which is not a folder.
     file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
@@ -168,9 +172,10 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
             if !place.exists() {
                 return Ok(None);
             }
-            // Both names are of one content until the new one comes over the other; not all file systems have that.
+            // A hard link keeps the former content under a second name until the new file replaces the place; not all
+            // file systems support links.
             fs::hard_link(place, &kept).or_else(|_| fs::copy(place, &kept).map(drop))?;
-            // As in `write_with`.
+            // See the `sync_all` in `write_with`.
             fs::OpenOptions::new().write(true).open(file)?.sync_all()?;
             Ok(Some(kept))
         };
@@ -183,7 +188,7 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
             Ok(kept) => former.push((*place, kept)),
             Err(error) => {
                 for (place, kept) in former.into_iter().rev() {
-                    // Whoever is told of the first failure knows what may have failed after it.
+                    // Errors of the rollback are not reported: the first failure already is.
                     let _ = kept.map_or_else(|| fs::remove_file(place), |kept| fs::rename(kept, place));
                 }
                 return Err((place, error));
@@ -193,22 +198,22 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
     Ok(())
 }
 
-/// Gives a file the permissions of what it is to replace: what others may not read stays so.
+/// Gives a file the permissions of the file it is to replace, so that private files stay private.
 #[cfg(unix)]
 fn keep_mode(file: &Path, place: &Path) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt as _;
     let Ok(former) = fs::metadata(place) else { return Ok(()) };
     let [former, new] = [former, fs::metadata(file)?].map(|file| file.permissions().mode() & 0o777);
-    // Not all file systems have any.
+    // Not all file systems have permissions.
     if former == new { Ok(()) } else { fs::set_permissions(file, fs::Permissions::from_mode(former)) }
 }
 
-/// Of the names of temporary files and folders.
+/// Prefix of the names of temporary files and folders.
 const PREFIX: &str = ".centaur-";
 
-/// Writes to `path` what `produce` makes, by way of a temporary file in the same folder, so that `path` holds either its former content or
-/// all of the new one, also after the system went down where it has former content. Returns the number of bytes written. Where `path` is a
-/// symbolic link to a file, that file is replaced.
+/// Writes the output of `produce` to `path` via a temporary file in the same folder, so that `path` holds either its
+/// former content or all of the new one; if there is former content, this holds even after a system crash. Returns the
+/// number of bytes written. If `path` is a symbolic link to a file, that file is replaced.
 ///
 /// # Errors
 /// If the folder does not exist or cannot be written to, or `produce` fails.
@@ -219,7 +224,8 @@ pub(crate) fn write_with(
     let path = place_of(path)?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX);
-    // Temporary files are private by default; a result is as readable as the umask allows, like any other file, or as the former one.
+    // Temporary files are private by default; the result is as readable as the umask allows, like any other file, or as
+    // the file it replaces.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let (_listed, mut temporary) = listed(|| builder.tempfile_in(folder_of(&path)))?;
@@ -230,11 +236,13 @@ pub(crate) fn write_with(
     out.flush()?;
     drop(out);
     let bytes = temporary.as_file().metadata()?.len();
-    // A system that goes down may have renamed, but not yet written: where nothing would be lost, that is not waited for.
+    // After a crash the rename may have reached the disk without the data: synchronised only if former content could be
+    // lost.
     if path.exists() {
         temporary.as_file().sync_all()?;
     }
-    // Windows replaces what a reader has open, as a scene that is written over itself is, for `rename` alone, not for `persist`.
+    // On Windows, a file that a reader has open, such as a scene overwritten by itself, can be replaced by `rename` but
+    // not by `persist`.
     let (file, temporary) = temporary.keep().map_err(|e| e.error)?;
     drop(file);
     fs::rename(&temporary, path).inspect_err(|_| drop(fs::remove_file(&temporary)))?;

@@ -1,13 +1,13 @@
-//! Bytes as text of 64 digits (RFC 4648): what documents embed.
+//! Base64 encoding and decoding (RFC 4648), for embedded data.
 
 use std::io::{self, Write};
 
-/// `bytes` in base64, padded.
+/// Encodes `bytes` in base64, padded.
 pub(crate) fn encode(bytes: &[u8]) -> String {
     String::from_utf8(digits(bytes)).expect("digits are ASCII")
 }
 
-/// What `text` stands for, in either alphabet, padded or not; `None` if it has other characters.
+/// Decodes base64 in either alphabet, padded or not; `None` if `text` has other characters.
 pub(crate) fn decode(text: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
     let (mut bits, mut pending) = (0u32, 0);
@@ -30,10 +30,10 @@ pub(crate) fn decode(text: &str) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Writes what it is given in base64, piece by piece.
+/// Streaming base64 encoder.
 pub(crate) struct Encoder<W> {
     out: W,
-    /// One or two bytes that wait for their group.
+    /// One or two bytes of an incomplete group.
     rest: Vec<u8>,
 }
 
@@ -42,7 +42,7 @@ impl<W: Write> Encoder<W> {
         Self { out, rest: vec![] }
     }
 
-    /// Pads the last group.
+    /// Writes the last group, padded.
     pub(crate) fn finish(mut self) -> io::Result<()> {
         self.out.write_all(&digits(&self.rest))
     }
@@ -70,7 +70,7 @@ impl<W: Write> Write for Encoder<W> {
     }
 }
 
-/// Digits of groups of three bytes, the last of which may be short.
+/// Encodes groups of three bytes, the last of which may be short.
 fn digits(bytes: &[u8]) -> Vec<u8> {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = Vec::with_capacity(bytes.len().div_ceil(3) * 4);

@@ -1,6 +1,7 @@
-//! Scoring a scene against photographs, as `centaur eval` does.
+//! Scores a scene against photographs, as `centaur eval` does.
 //!
-//! [`evaluate`] is all of it; [`Evaluator`] and [`Comparison`] are its steps, for who also wants the pictures.
+//! [`evaluate`] performs the whole evaluation; [`Evaluator`] and [`Comparison`] are its steps, for callers who also
+//! need the images.
 
 use image::{Rgb, Rgb32FImage};
 use rayon::prelude::*;
@@ -12,15 +13,15 @@ use crate::{
     scene::{Camera, Composition, HybridScene},
 };
 
-/// Frames per second are a mean over this many views, each rendered so many times.
+/// Number of views over which frames per second are averaged; each is rendered `TIMED_FRAMES` times.
 const TIMED_VIEWS: usize = 4;
 const TIMED_FRAMES: u32 = 5;
 
-/// Why a scene could not be scored.
+/// Reasons for which a scene cannot be scored.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EvaluateError {
-    /// Nothing to score on.
+    /// No view is held out.
     #[error("{capture}: expected at least one held-out view, found none")]
     NoneHeldOut {
         /// Name of the capture.
@@ -32,17 +33,17 @@ pub enum EvaluateError {
     /// The adapter failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A picture cannot be scored.
+    /// An image cannot be scored.
     #[error("{view}: {source}")]
     Metric {
         /// Name of the view.
         view: String,
-        /// Why.
+        /// Reason.
         source: MetricError,
     },
 }
 
-/// Scores a scene on the held-out views of its capture, with LPIPS where there are weights.
+/// Scores a scene on the held-out views of its capture, with LPIPS if its weights are given.
 ///
 /// Give the capture as it was opened for training: scores at other sizes do not compare. The scene has to be in its world, in which
 /// [`read_scene`](crate::format::read_scene) has whatever was trained on it. Of [`Measured`] what only the caller knows is left
@@ -58,7 +59,8 @@ pub enum EvaluateError {
 /// ```
 ///
 /// # Errors
-/// If no view is held out, a photograph cannot be read, the adapter fails, or pictures are too small for the network of `lpips`.
+/// If no view is held out, a photograph cannot be read, the adapter fails, or images are too small for the network of
+/// `lpips`.
 pub fn evaluate(
     gpu: &Gpu,
     scene: &HybridScene,
@@ -79,10 +81,10 @@ pub fn evaluate(
     Ok(Evaluation { left_out, ..evaluator.finish(scores)? })
 }
 
-/// The views that scores are taken on: those that training leaves out, see [`Split::Every8th`].
+/// Held-out views, on which scores are taken and which training leaves out, see [`Split::Every8th`].
 ///
 /// # Errors
-/// If there are none.
+/// If no view is held out.
 pub fn held_out(capture: &Capture) -> Result<Vec<&View>, EvaluateError> {
     let (_, held_out) = Split::Every8th.split(&capture.views);
     if held_out.is_empty() {
@@ -91,11 +93,11 @@ pub fn held_out(capture: &Capture) -> Result<Vec<&View>, EvaluateError> {
     Ok(held_out.into_iter().map(|i| &capture.views[i]).collect())
 }
 
-/// Reads the photographs of those views, as many at a time as there are cores, and forgets them: what cannot be scored, with LPIPS where there
-/// are weights, is better known before hours of training than after.
+/// Checks that the photographs of the held-out views can be read and, if weights are given, scored by LPIPS, so that
+/// failures show before hours of training. Reads as many at a time as there are cores, and keeps none.
 ///
 /// # Errors
-/// If there are none, or one cannot be read, or is too small for the network of `lpips`.
+/// If no view is held out, or a photograph cannot be read or is too small for the network of `lpips`.
 pub fn check_photographs(capture: &Capture, lpips: Option<&Lpips>) -> Result<(), EvaluateError> {
     let views = held_out(capture)?;
     for (lpips, view) in lpips.into_iter().flat_map(|lpips| views.iter().map(move |view| (lpips, view))) {
@@ -107,20 +109,21 @@ pub fn check_photographs(capture: &Capture, lpips: Option<&Lpips>) -> Result<(),
     unread.map_or(Ok(()), |error| Err(error.into()))
 }
 
-/// A scene on the GPU, to be compared with photographs one at a time.
+/// Scene on the GPU, to be compared with photographs one at a time.
 pub struct Evaluator<'a> {
     gpu: &'a Gpu,
     scene: &'a HybridScene,
     renderer: Renderer<'a>,
-    /// Those that are timed.
+    /// Cameras of the timed views.
     cameras: Vec<Camera>,
 }
 
 impl<'a> Evaluator<'a> {
-    /// Uploads the scene and makes room for pictures of these views. The adapter's peak of memory begins anew, to be that of scoring.
+    /// Uploads the scene and allocates images of the views' sizes. Resets the adapter's peak of memory, which then
+    /// measures scoring only.
     ///
     /// # Errors
-    /// If the adapter cannot hold it, or its composition is not valid.
+    /// If the adapter cannot hold the scene, or its composition is not valid.
     pub fn new(gpu: &'a Gpu, scene: &'a HybridScene, views: &[&View]) -> Result<Self, EvaluateError> {
         let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         gpu.reset_peak();
@@ -129,16 +132,16 @@ impl<'a> Evaluator<'a> {
         Ok(Self { gpu, scene, renderer, cameras })
     }
 
-    /// Renders a view and lays it beside its photograph.
+    /// Renders a view for comparison with its photograph.
     ///
     /// # Errors
-    /// If the photograph cannot be read, the picture is larger than announced, or the adapter fails.
+    /// If the photograph cannot be read, the image is larger than those of the views announced, or the adapter fails.
     pub fn compare(&mut self, view: &View) -> Result<Comparison, EvaluateError> {
         let picture = self.renderer.render(&view.camera)?;
         Ok(Comparison::new(&capture::decode(view)?, &picture, &self.scene.composition))
     }
 
-    /// The mean of these scores, with what the scene costs: counts, frames per second, memory.
+    /// Evaluation with the mean of these scores and the costs of the scene: counts, frames per second, memory.
     ///
     /// # Errors
     /// If the adapter fails.
@@ -157,25 +160,25 @@ impl<'a> Evaluator<'a> {
     }
 }
 
-/// Photograph and render as they are scored: sRGB-encoded, as photographs are; what a photograph leaves transparent shows the background of
-/// the scene, and a mask multiplies both (as in HERA).
+/// Photograph and render in the form in which they are scored: sRGB-encoded; transparent parts of a photograph show the
+/// background of the scene, and a mask multiplies both (as in HERA).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// The photograph, in \[0, 1\].
+    /// Photograph, in \[0, 1\].
     pub truth: Rgb32FImage,
-    /// The render as it is shown, in \[0, 1\]: brighter than white is white, also before a mask multiplies it.
+    /// Render as displayed, clamped to \[0, 1\] before a mask multiplies it.
     pub render: Rgb32FImage,
-    /// A mask multiplied both.
+    /// Whether a mask multiplied both images.
     pub masked: bool,
-    /// It leaves nothing of them: both are black, and no score says anything.
+    /// Whether the mask is zero everywhere: both images are black, and scores are meaningless.
     pub is_empty: bool,
 }
 
 impl Comparison {
-    /// Of a photograph and what a scene of this composition shows of it.
+    /// Prepares a photograph and a render of a scene with this composition for comparison.
     ///
     /// # Panics
-    /// If the photograph says that it has more pixels than it has.
+    /// If the photograph states more pixels than it has.
     #[must_use]
     pub fn new(photo: &Photo, picture: &Picture, composition: &Composition) -> Self {
         let space = composition.color_space;
@@ -188,7 +191,7 @@ impl Comparison {
         }
         let are_alike = render.dimensions() == truth.dimensions();
         for (p, (render, rgb)) in render.pixels_mut().zip(&picture.rgb).enumerate() {
-            // Those of other sizes have no score.
+            // Images of different sizes have no score.
             let mask = if are_alike { expected(photo, p, background).1 } else { 1.0 };
             *render = Rgb(space.to_srgb(*rgb).map(|c| c.clamp(0.0, 1.0) * mask));
         }
@@ -196,7 +199,7 @@ impl Comparison {
         Self { truth, render, masked: photo.masked, is_empty }
     }
 
-    /// The scores of the view of this name.
+    /// Scores of the view `name`.
     ///
     /// # Errors
     /// If the sizes differ, or are too small for the network of `lpips`.
@@ -205,7 +208,7 @@ impl Comparison {
             .map_err(|source| EvaluateError::Metric { view: name.to_owned(), source })
     }
 
-    /// [`Scores::psnr`](metrics::Scores::psnr) alone, dB.
+    /// [`Scores::psnr`](metrics::Scores::psnr) alone, in dB.
     ///
     /// # Errors
     /// If the sizes differ.
@@ -214,8 +217,8 @@ impl Comparison {
     }
 }
 
-/// What a render should show at pixel `p` (by rows from the top) of a photograph, sRGB-encoded, and what multiplies both before they are
-/// compared.
+/// Target colour, sRGB-encoded, of a render at pixel `p` (row-major from the top) of a photograph, and the mask factor
+/// that multiplies both before comparison.
 pub(crate) fn expected(photo: &Photo, p: usize, background: [f32; 3]) -> ([f32; 3], f32) {
     let [r, g, b, a] = photo.color(p);
     let rgb = [r, g, b];

@@ -1,9 +1,9 @@
 //! **Centaur**: hybrid scenes of textured, semi-transparent meshes and 3D Gaussian splats, blended in one
 //! depth order.
 //!
-//! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `evaluate`) → `scene` → `format`; [`evaluate`] tells how good it is.
-//! ARCHITECTURE.md has the map and the invariants. Types of [`glam`], [`image`] and [`serde_json`] are part of the interface: they are re-exported, so
-//! that versions agree.
+//! Data flows `capture` → `geometry` → `scene` → `optimize` (over `render`, `evaluate`) → `scene` → `format`;
+//! [`evaluate`] scores a scene. ARCHITECTURE.md has the map and the invariants. Types of [`glam`], [`image`] and
+//! [`serde_json`] are part of the API and therefore re-exported, so that versions agree.
 //!
 //! A scene from a file, rendered as a PNG and written in another format. Scenes are in the frame of captures, y down, as [`format::read_scene`] and
 //! [`format::write_scene`] turn glTF and USD, which are y up:
@@ -44,8 +44,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Splats from a file, changed and written as glTF. What a scene holds is valid, so that its arrays are taken out to be changed, and checked as
-//! they become splats again; [`edit`] has what is often done to them:
+//! Reading splats from a file, modifying them and writing them as glTF. A scene's content is always valid; therefore
+//! its arrays are extracted for modification, and checked when they become splats again. [`edit`] provides common
+//! edits:
 //!
 //! ```no_run
 //! use centaur::{edit, format::{WriteOptions, read_scene, write_scene}, glam::{DMat3, DVec3}, scene::{Splats, gather}};
@@ -62,7 +63,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The frames of a glTF that moves ([`format::gltf::Source`]; `examples/write_hybrid.rs` makes a scene by hand):
+//! Evaluating the frames of an animated glTF ([`format::gltf::Source`]; `examples/write_hybrid.rs` builds a scene from
+//! scratch):
 //!
 //! ```no_run
 //! use centaur::format::{DEFAULT_FPS, ReadOptions, frame_count, read_file};
@@ -77,7 +79,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! From photographs to a file:
+//! Training from photographs and writing the result:
 //!
 //! ```no_run
 //! use std::sync::atomic::AtomicBool;

@@ -2,7 +2,7 @@
 
 const EXPONENT: u32 = 0x7f800000u;
 
-// By the bits: a compiler may take it that no float is NaN.
+// Tested by bits, as a compiler may assume that no float is NaN.
 fn is_finite(v: f32) -> bool {
     return (bitcast<u32>(v) & EXPONENT) != EXPONENT;
 }

@@ -7,29 +7,29 @@
 // one way: its sums have 64 bits, in two words, the low one first, and hold 2⁴³ terms of any size.
 // FIXED_ONE, BAND_UNIT, CROWD and BAND_CROWD come from the host (`FIXED_POINT` in src/render/gpu/shader.rs).
 
-// Words of `peaks`, which `gradient_peak` leaves: 0, bits of the largest gradient of a fragment by what it sees of the map; 1, by its vertices;
-// 2, as 0, each times the pixels of its texel by those that there is room for; 3, how many fragments are crowded. FIXED_ONE units of the maps
-// are, bits again, the largest gradient, or more where crowded fragments see one texel: as many as each of them says of its own, and no more
-// than there are.
+// Words of `peaks`, written by `gradient_peak`: 0, bits of the largest gradient of a fragment by its map; 1, by its
+// vertices; 2, as 0, each times the ratio of its texel's pixels to those that there is room for; 3, the number of
+// crowded fragments. FIXED_ONE units of the maps are the largest gradient, or more where crowded fragments see one
+// texel: as many as each implies for its own, but no more than there are. Returns bits.
 fn map_peak(largest: u32, largest_crowded: u32, n_crowded: u32) -> u32 {
     let of_all = bitcast<u32>(bitcast<f32>(largest) * (f32(n_crowded) / CROWD));
     return max(largest, min(largest_crowded, of_all));
 }
 
-// Units per 1, by the bits of the largest term.
+// Units per 1, from the bits of the largest term.
 fn fixed_scale(peak: u32) -> f32 {
     let largest = bitcast<f32>(peak);
     return select(FIXED_ONE / largest, 0.0, largest < 1e-30);
 }
 
-// A sum of 64 bits. By its magnitude: of a small negative one the words are large, and would cancel.
+// A 64-bit sum as a float. Converted by magnitude: for a small negative sum both words are large and would cancel.
 fn wide_sum(low: u32, high: u32) -> f32 {
     if (high >> 31u) == 0u { return 4294967296.0 * f32(high) + f32(low); }
     let below = ~low + 1u;
     return -(4294967296.0 * f32(~high + u32(below == 0u)) + f32(below));
 }
 
-// 1 per unit; not finite where the largest term was not.
+// Value of a unit; not finite if the largest term was not.
 fn fixed_unit(peak: u32) -> f32 {
     return bitcast<f32>(peak) / FIXED_ONE;
 }

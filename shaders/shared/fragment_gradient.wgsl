@@ -1,4 +1,4 @@
-// What the loss asks of every fragment, and where it goes, in fixed point.
+// Gradient of the loss by every fragment, and its destination, in fixed point.
 //#import shared/fixed_point.wgsl
 
 @group(0) @binding(5) var<storage, read> layer_color: array<vec4f>;     // [LAYERS, h, w]: rgb, alpha
@@ -9,7 +9,7 @@
 //#import shared/fixed_add.wgsl with TARGET=band_gradient BINDING=9
 //#end
 
-// By the colour and the opacity logit of fragment i, in units: 0 where they are clamped.
+// Gradient by the colour and the opacity logit of fragment i, in units: 0 where these are clamped.
 fn fragment_gradient(i: u32, scale: f32) -> vec4f {
     let color = layer_color[i];
     let gradient = scale * layer_gradient[i];

@@ -1,8 +1,8 @@
-// The parts of one pixel, blended front to back: what splats and meshes contribute, and where. Written for
-// `render/gpu/layered.rs`, which reads PARTS vectors a pixel and binds what stands here for either image model.
+// The parts of one pixel, blended front to back: contributions of splats and of meshes, and their depths. The host's
+// side is `render/gpu/layered.rs`, which reads PARTS vectors per pixel and binds these buffers for either image model.
 //
-// Where loops may not go on for ever, a dispatch begins no other walk through a tile's list after PATIENCE entries, and the next one goes on
-// from there.
+// On adapters that limit loops, a dispatch begins no further walk through a tile's list after PATIENCE entries, and the
+// next dispatch continues from there.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2u>;
@@ -39,7 +39,7 @@ fn nothing() -> Layered {
     return Layered(vec4f(0.0), vec4f(0.0), 0.0, 0.0, 0.0, 1.0);
 }
 
-// Adds what is behind all so far; returns the premultiplied colour and weight.
+// Adds a contribution behind all so far; returns the premultiplied colour and weight.
 fn add(into: ptr<function, Layered>, alpha: f32, color: vec3f, depth: f32) -> vec4f {
     let weight = (*into).transmittance * alpha;
     let after = (*into).transmittance * (1.0 - alpha);
@@ -59,7 +59,7 @@ fn add_fragment(into: ptr<function, Layered>, layer: vec4f, depth: f32) {
 }
 
 //#if PATIENCE
-// For the next dispatch, with `more` words that it goes on by.
+// Saves a pixel's state for the next dispatch, with the words `more` that it continues from.
 fn keep(pixel: u32, parts: Layered, is_finished: bool, more: vec3u) {
     progress.pixels[pixel] = vec4u(select(UNFINISHED, FINISHED, is_finished), more);
     if is_finished { return; }
@@ -85,7 +85,7 @@ fn write_parts(pixel: u32, parts: Layered, normal: vec3f) {
 }
 
 //#if LAYERS
-// Unit normal, towards the camera, in world space, of the nearest fragment of a pixel.
+// Unit normal of the nearest fragment of a pixel, facing the camera, in world space.
 fn front_normal(pixel: vec2u) -> vec3f {
     let triangle = layer_triangle[pixel.y * view.size.x + pixel.x];
     if triangle == 0u { return vec3f(0.0); }

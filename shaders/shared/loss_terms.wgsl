@@ -1,4 +1,4 @@
-// What both kernels of the loss share: buffers, the window, the colours that are compared, and SSIM's slopes at a pixel.
+// Shared by both kernels of the loss: buffers, the window, the compared colours, and SSIM's slopes at a pixel.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure; z, w: `set_truth`
@@ -22,8 +22,9 @@ const C1: f32 = 0.0001;                 // (0.01·range)²
 const C2: f32 = 0.0009;                 // (0.03·range)²
 const AMISS: f32 = 0.02;                // 5/255: what a pixel that shows its photograph differs by, about
 
-// Rendered, then exposed colour, and the true one; and the slope of the first by that after the exposure. `background` is the
-// channel's of the view, which truth with alpha is over as it is exposed, too: where neither has anything, nothing pulls at the exposure.
+// Rendered, then exposed colour; the true one; and the slope of the former by the colour after exposure. `background`
+// is the view's, for this channel; truth with alpha is composited over the exposed background, so that pixels in which
+// neither has anything do not affect the exposure.
 fn colors(pixel: u32, channel: u32, background: f32) -> vec3f {
     let word = truth[pixel];
     var x = image[4u * pixel + channel];
@@ -37,12 +38,12 @@ fn colors(pixel: u32, channel: u32, background: f32) -> vec3f {
     let alpha = f32(word >> 24u) * (1.0 / 255.0);
     let slope = mix(1.0, alpha, weights.w);
     let part = mix(1.0, alpha, weights.z);
-    // Not `mix`: y itself where the part is 1.
+    // Not `mix`, so that y is unchanged where the part is 1.
     y = part * y + (1.0 - part) * behind;
     return vec3f(x * slope, y * slope, slope);
 }
 
-// SSIM of a window and its slopes g1, g2, g3, by the window's means of (y, d, d², xy).
+// SSIM of a window and its slopes g1, g2, g3, from the window's means of (y, d, d², xy).
 struct Ssim {
     value: f32,
     slopes: vec3f,
@@ -63,8 +64,8 @@ fn ssim(mean: vec4f) -> Ssim {
     return Ssim(s, vec3f(2.0 * (m2 * (by_a - by_b) + md * s * (d - c)), -s * d, 2.0 * by_b));
 }
 
-// ∂L/∂(expected disparity of a pixel), Σw/z: as much as is asked for where the picture is as the photograph has it, which is where that says no
-// more; less where it is not, of which the pixel's colour is to take care first. It is held in the gradient.
+// ∂L/∂(expected disparity of a pixel), Σw/z: the full weight where the picture matches the photograph, which then
+// constrains it no further; less elsewhere, where the pixel's colour has priority. Not differentiated itself.
 fn disparity_slope(pixel: u32) -> f32 {
     if view.disparity_slope == 0.0 { return 0.0; }
     var amiss = 0.0;
@@ -75,7 +76,7 @@ fn disparity_slope(pixel: u32) -> f32 {
     return view.disparity_slope * exp(-amiss / AMISS);
 }
 
-// The four maps that are blurred, of rendered and true colour.
+// The four maps to be blurred, from rendered and true colour.
 fn maps_of(c: vec2f) -> vec4f {
     let d = c.x - c.y;
     return vec4f(c.y, d, d * d, c.x * c.y);

@@ -1,16 +1,16 @@
-// A mesh fragment: where a pixel's ray meets the triangle of one layer, and which texels it sees there (mip levels
-// as in nvdiffrast). Shared by shade_layers, both texel_backward and uv_backward, so that the gradient goes exactly where the
-// colour came from.
+// A mesh fragment: intersection of a pixel's ray with the triangle of one layer, and the texels that it sees (mip
+// levels as in nvdiffrast). Shared by shade_layers, both texel_backward and uv_backward, so that the gradient goes
+// exactly where the colour came from.
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> layer_triangle: array<u32>;    // [LAYERS, h, w], index + 1, 0 = empty
 @group(0) @binding(2) var<storage, read> corners: array<vec4f>;         // [F, 3], camera space; w unused here
-// [F, 2]: uv of corners 0 and 1; of corner 2, mesh, 0. The floats' bits, since small integers may not survive as floats: adapters take
-// denormals for 0.
+// [F, 2]: UV of corners 0 and 1; UV of corner 2, mesh, 0. Stored as the floats' bits, since small integers may not
+// survive as floats: adapters flush denormals to 0.
 @group(0) @binding(3) var<storage, read> corner_uvs: array<vec4u>;
 @group(0) @binding(4) var<storage, read> maps: array<Maps>;             // [meshes]
 
-// Change of uv per pixel that is taken for edge-on: more than every texel of the largest map; squares stay finite.
+// Change of UV per pixel that counts as edge-on: more than every texel of the largest map; squares stay finite.
 const MAX_SLOPE: f32 = 1e6;
 
 // A mip pyramid: level 0, then level 1, …, each row-major.

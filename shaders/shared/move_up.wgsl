@@ -1,4 +1,5 @@
-// Adds a row to the sums of column $K that it is not the last row of, each at the place of the window a row further up.
+// Adds a row to the sums of column $K except the one it completes, moving each to the place of the window one row
+// further up.
 part[10 * $K] = part[10 * $K + 1] + W4 * blurred;
 part[10 * $K + 1] = part[10 * $K + 2] + W3 * blurred;
 part[10 * $K + 2] = part[10 * $K + 3] + W2 * blurred;

@@ -58,8 +58,8 @@ fn project(v: View, g: Gaussian) -> Projection {
     let n1 = g.scale * (m1 * g.rotation);
     let k = v.filter_variance;
     let xx = dot(n0, n0); let xy = dot(n0, n1); let yy = dot(n1, n1);
-    // √det Σ2 is the area that n0 and n1 span. From Σ' itself the determinant of a needle is a difference of products that
-    // agree in all of their digits; here nothing is subtracted.
+    // √det Σ2 is the area spanned by n0 and n1. Computed from Σ', the determinant of a needle is a difference of
+    // products that agree in all of their digits; here nothing is subtracted.
     let across = cross(n0, n1);
     let area2 = dot(across, across);
     let det = area2 + k * (xx + yy) + k * k;

@@ -1,4 +1,4 @@
-// Four random words of four: PCG4D of Jarzynski and Olano, "Hash Functions for GPU Rendering" (2020).
+// Four random words from four: PCG4D of Jarzynski and Olano, "Hash Functions for GPU Rendering" (2020).
 fn random_words(key: vec4u) -> vec4u {
     var v = key * 1664525u + 1013904223u;
     for (var round = 0u; round < 2u; round++) {
@@ -11,7 +11,7 @@ fn random_words(key: vec4u) -> vec4u {
     return v;
 }
 
-// Numbers in [0, 1) of such words, by 24 bits, so that conversion is exact.
+// Numbers in [0, 1) from such words, by 24 bits, so that the conversion is exact.
 fn unit_numbers(words: vec4u) -> vec4f {
     return vec4f(words >> vec4u(8u)) * (1.0 / 16777216.0);
 }

@@ -1,5 +1,5 @@
-// SH coefficients of splats, four floats at a time where those of each begin at a multiple of four: a GPU asks for a fourth as often, and
-// a software adapter takes four floats of one in the time of two.
+// SH coefficients of splats, as vectors of four floats if each splat's begin at a multiple of four: a GPU issues a
+// quarter of the loads, and a software adapter loads a vector of four in the time of two single floats.
 
 //#if FOURS
 alias Floats = vec4f;
@@ -9,7 +9,7 @@ alias Floats = f32;
 
 @group(0) @binding(2) var<storage, read> sh: array<Floats>;
 
-// Of splat i, [SH_TERMS, 3]: those of the first `terms` terms, and 0 or what there is of others.
+// Coefficients of splat i, [SH_TERMS, 3]: those of the first `terms` terms; the others are 0 or as stored.
 fn sh_coefficients(i: u32, terms: u32) -> array<f32, 3u * SH_TERMS> {
     let first = i * SH_LOADS;
     var found: array<f32, 3u * SH_TERMS>;

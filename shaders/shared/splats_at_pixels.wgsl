@@ -1,6 +1,7 @@
-// $COUNT splats of a batch, from `s` to before $END, at the PER_THREAD pixels of a thread: of splat m from `s` on `center$m`, `squares$m`, `column$m`,
-// `threshold$m_$l`, and, of more than one, at pixel j `y$m_$j` and `raw$m_$j`, its alpha before it is capped, 0 where there is none. Of all at once and
-// without branches: what a thread waits for in one it does of the others.
+// Evaluates $COUNT splats of a batch, from `s` to before $END, at the PER_THREAD pixels of a thread. For splat m from
+// `s` on it defines `center$m`, `squares$m`, `column$m`, `threshold$m_$l`, and, if $COUNT > 1, for pixel j `y$m_$j` and
+// `raw$m_$j`, its alpha before the cap, 0 if there is no such splat. All are evaluated at once and without branches, so
+// that the latency of one is hidden behind the others.
 //#for m in 0..$COUNT
 //#if $m<1
 let at$m = s;

@@ -1,4 +1,4 @@
-// What a training step finds out about itself; render/gpu/status.rs reads it.
+// Status of training steps; render/gpu/status.rs reads it.
 //#import shared/finite.wgsl
 
 struct Status {

@@ -1,5 +1,5 @@
-// Sums over the 256 threads of a workgroup, of $ROWS vectors each: sums[row * 256 + thread], set by every thread, end up in the rows'
-// first entries.
+// Sums over the 256 threads of a workgroup, for $ROWS vectors each: sums[row * 256 + thread], set by every thread, end
+// up in the rows' first entries.
 var<workgroup> sums: array<vec4f, $ROWS * 256>;
 
 // Adds the second half of each row's entries to the first, and so on.

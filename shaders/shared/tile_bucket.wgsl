@@ -1,5 +1,5 @@
-// The bucket that a splat is in at all pixels of a tile, if it is the same everywhere. Most splats
-// are in front of the mesh throughout a tile or behind it: these need no decision and no state of other buckets.
+// The bucket of a splat at all pixels of a tile, if it is the same everywhere. Most splats are in front of the mesh
+// throughout a tile, or behind it: these need no per-pixel decision and no state of other buckets.
 
 const MIXED: u32 = BUCKETS;             // the bucket differs from pixel to pixel
 
@@ -13,14 +13,14 @@ fn clear_depths() {
 //#end
 }
 
-// Depths of layer l at some pixels of the tile, at most EMPTY_DEPTH.
+// Includes depths of layer l at some pixels of the tile, at most EMPTY_DEPTH.
 fn include_depths(l: u32, low: f32, high: f32) {
     atomicMin(&nearest[l], bitcast<u32>(low));
     atomicMax(&farthest[l], bitcast<u32>(high));
 }
 
-// First and last bucket that a splat may be in at a pixel of the tile; after a barrier. A splat is behind a layer where
-// the layer's depth is below the threshold.
+// First and last bucket that a splat may be in at a pixel of the tile; call after a barrier. A splat is behind a layer
+// where the layer's depth is below the threshold.
 fn bucket_span(splat: u32) -> vec2u {
     var last = 0u;
 //#for l in LAYERS..0
@@ -37,8 +37,8 @@ fn tile_bucket(splat: u32) -> u32 {
 }
 
 //#if RUNS
-// Splats are taken in runs that share a path through the blend: the bucket they are in throughout the tile, or MIXED. A
-// run is made of blocks, for changing over costs as much as several splats.
+// Splats are processed in runs that share a path through the blend: the bucket they are in throughout the tile, or
+// MIXED. A run consists of blocks, since changing paths costs as much as several splats.
 const BLOCK: u32 = 8u;
 
 var<workgroup> block_path: array<u32, BATCH / BLOCK>;

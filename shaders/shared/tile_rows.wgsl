@@ -1,5 +1,5 @@
-// Which tiles a splat touches, exactly: those that hold a pixel centre where its alpha can reach ALPHA_CUT, i.e.
-// inside the ellipse δᵀΣ'⁻¹δ ≤ 2·ln(255·opacity), as in gsplat. Evaluated a tile row at a time.
+// Tiles that a splat touches, exactly: those with a pixel centre where its alpha can reach ALPHA_CUT, i.e. inside the
+// ellipse δᵀΣ'⁻¹δ ≤ 2·ln(255·opacity), as in gsplat. Evaluated one tile row at a time.
 
 const TILE_EPSILON: f32 = 0.01;         // px; keeps rounding from dropping a tile
 

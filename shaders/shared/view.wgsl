@@ -1,5 +1,5 @@
-// What every stage knows of the view being rendered. `View::words` in render/gpu/view.rs writes the same layout;
-// TILE, pixels per tile side, and the modes, MODE_…, are from there.
+// Uniform of the view being rendered, shared by all stages. `View::words` in render/gpu/view.rs writes the same layout;
+// it also defines TILE, pixels per tile side, and the modes, MODE_….
 
 //#import shared/group_index.wgsl
 
@@ -28,14 +28,14 @@ struct View {
     dropout: f32,                       // part of the splats that are left out, the others being that much more opaque
 }
 
-// By the difference from the centre, which is exact where both are far from the origin and near each other: R·p + t would be the difference of
-// numbers as large as that distance.
+// Computed from the difference to the centre, which is exact if both are far from the origin and near each other: R·p +
+// t would be the difference of numbers as large as that distance.
 fn to_camera(v: View, p: vec3f) -> vec3f {
     let d = p - v.center - vec3f(v.row_x.w, v.row_y.w, v.row_z.w);
     return vec3f(dot(v.row_x.xyz, d), dot(v.row_y.xyz, d), dot(v.row_z.xyz, d));
 }
 
-// Pixel of one of a tile's TILE² threads; beyond the image where that ends within the tile, or there is no such tile.
+// Pixel of one of a tile's TILE² threads; beyond the image if that ends within the tile, or if there is no such tile.
 fn tile_pixel(v: View, tile: u32, thread: u32) -> vec2u {
     return TILE * vec2u(tile % v.tiles.x, tile / v.tiles.x) + vec2u(thread % TILE, thread / TILE);
 }

@@ -1,19 +1,19 @@
-//! Decoded pictures within a memory budget, made ahead of time on rayon's threads.
+//! Cache of decoded pictures within a memory budget, filled ahead of time on rayon's threads.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::{CaptureError, Photo, View, decode};
 
-/// Decodes pictures in parallel and keeps them within a budget of bytes.
+/// Cache that decodes pictures in parallel and keeps them within a budget of bytes.
 ///
-/// Pictures are kept until the budget is full and then stay: training visits the views in ever new random orders,
-/// for which that hits as often as any policy, and evicting the least recent would hit less. One eighth of the
-/// budget is left for pictures that were prefetched but cannot stay; each of those is handed out once. A budget too
-/// small for one picture still prefetches one. Pictures that callers hold are not counted, nor is what decoding needs
-/// meanwhile. What is prefetched should be asked for: a picture that only passes through keeps its place until then.
+/// Pictures are kept until the budget is full and then stay: training visits the views in ever new random orders, for
+/// which that hits as often as any policy, and evicting the least recent would hit less. One eighth of the budget is
+/// left for pictures that were prefetched but cannot stay; each of those is handed out once. A budget too small for one
+/// picture still prefetches one. Pictures that callers hold are not counted, nor is the temporary memory of decoding.
+/// Every prefetched picture should be requested: one that cannot stay occupies its place until then.
 ///
-/// Views are told apart by name: use one cache per capture.
+/// Views are identified by name: use one cache per capture.
 pub struct PhotoCache {
     shared: Arc<Shared>,
 }
@@ -28,9 +28,9 @@ struct Shared {
 #[derive(Default)]
 struct State {
     slots: HashMap<String, Slot>,
-    /// Bytes of slots that stay, decoded or promised.
+    /// Bytes of slots that stay, decoded or reserved.
     kept: usize,
-    /// Bytes of slots that are handed out once, decoded or promised.
+    /// Bytes of slots that are handed out once, decoded or reserved.
     passing: usize,
 }
 
@@ -41,10 +41,10 @@ struct Slot {
 }
 
 enum Progress {
-    /// A job waits for a thread. `get` takes it over rather than wait for it, so it never waits for a pool that may
+    /// Waiting for a thread. `get` takes the job over instead of waiting for it, so it never waits for a pool that may
     /// be waiting for it.
     Queued,
-    /// A thread is decoding.
+    /// Being decoded by a thread.
     Decoding,
     Ready(Arc<Photo>),
 }
@@ -55,7 +55,7 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Room for a new picture: to stay, to pass through, or none.
+    /// Kind of room for a new picture: to stay (`true`), to be handed out once (`false`), or none.
     fn room(&self, state: &State, bytes: usize) -> Option<bool> {
         let passing = self.budget / 8;
         if state.kept.saturating_add(bytes) <= self.budget - passing {
@@ -67,7 +67,7 @@ impl Shared {
         }
     }
 
-    /// Decodes a view whose slot is `Decoding` and stores the picture there; on failure the slot goes.
+    /// Decodes a view whose slot is `Decoding` and stores the picture there; on failure the slot is removed.
     fn decode(&self, view: &View) -> Result<Arc<Photo>, CaptureError> {
         let photo = decode(view).map(Arc::new);
         let mut state = self.state();
@@ -110,29 +110,29 @@ impl PhotoCache {
         Self { shared: Arc::new(Shared { budget, state: Mutex::default(), decoded: Condvar::new() }) }
     }
 
-    /// The least budget that keeps all pictures of some views, however they are asked for.
+    /// Least budget that keeps all pictures of these views, in whatever order they are requested.
     #[must_use]
     pub fn budget_for(views: &[View]) -> usize {
         let all = views.iter().map(photo_bytes).fold(0, usize::saturating_add);
-        // An eighth is for what passes through.
+        // An eighth is reserved for pictures that are handed out once.
         all.saturating_add(all.div_ceil(7))
     }
 
-    /// Most bytes of pictures that are held.
+    /// Largest number of bytes of pictures held.
     #[must_use]
     pub fn budget(&self) -> usize {
         self.shared.budget
     }
 
-    /// Bytes held or promised now.
+    /// Bytes held or reserved at present.
     #[must_use]
     pub fn bytes(&self) -> usize {
         let state = self.shared.state();
         state.kept + state.passing
     }
 
-    /// Begins to decode a view on another thread, if there is room for it. Returns at once; a failure shows when
-    /// the view is asked for.
+    /// Starts decoding a view on another thread, if there is room for it. Returns at once; a failure is reported when
+    /// the view is requested.
     pub fn prefetch(&self, view: &View) {
         let bytes = photo_bytes(view);
         {
@@ -151,7 +151,7 @@ impl PhotoCache {
                 _ => return,
             }
             drop(state);
-            // The error comes again, to the caller of `get`.
+            // The error recurs in `get`, for its caller.
             let _ = shared.decode(&view);
         });
     }

@@ -1,4 +1,4 @@
-//! Posed cameras alone, with or without the photographs: what is rendered from, not what is learned from.
+//! Posed cameras alone, with or without photographs, for rendering rather than training.
 
 use std::cmp::Ordering;
 use std::ops::RangeInclusive;
@@ -13,23 +13,23 @@ use super::views::{self, Frame};
 use super::{CaptureError, Listed, Lists, LoadOptions, colmap, error, lists};
 use crate::scene::{Camera, Intrinsics};
 
-/// Cameras in the order in which they are shown.
+/// Named cameras in display order.
 #[derive(Clone, Debug)]
 pub struct Cameras {
-    /// At least one, with their names.
+    /// Names and cameras, at least one.
     pub cameras: Vec<(String, Camera)>,
-    /// How many there are a second, if they are a path that says so.
+    /// Frames per second, if the cameras are a path that states it.
     pub fps: Option<f64>,
-    /// Whether their world is y up, as those of glTF and USD, as a `transforms*.json` can say that Centaur wrote; else it is the frame of
-    /// a capture.
+    /// Whether their world is y up, as in glTF and USD, which a `transforms*.json` written by Centaur can state;
+    /// otherwise it is the frame of a capture.
     pub y_up: bool,
-    /// Their photographs, as far as the capture names any; they need not exist.
+    /// Their photographs, as far as the capture names any; the files need not exist.
     pub images: Vec<PathBuf>,
-    /// As those of [`super::Capture`].
+    /// As [`super::Capture::passed_over`].
     pub passed_over: Vec<PathBuf>,
 }
 
-/// `camera_path.json` of nerfstudio's viewer.
+/// File `camera_path.json` of nerfstudio's viewer.
 #[derive(Deserialize)]
 struct CameraPath {
     camera_type: Option<String>,
@@ -39,12 +39,12 @@ struct CameraPath {
     camera_path: Vec<Key>,
 }
 
-/// A frame of it.
+/// A frame of the path.
 #[derive(Deserialize)]
 struct Key {
-    /// Rows; OpenGL axes.
+    /// Camera→world matrix by rows, OpenGL axes.
     camera_to_world: Vec<f64>,
-    /// Vertical, in degrees. The aspect beside it is that of the image.
+    /// Vertical field of view, degrees. The aspect given beside it is that of the image.
     fov: f64,
 }
 
@@ -53,11 +53,12 @@ struct Probe {
     camera_path: Option<IgnoredAny>,
 }
 
-/// Reads the cameras of a capture as [`super::open`] finds it, of a `transforms*.json` or of nerfstudio's
+/// Reads the cameras of a capture as found by [`super::open`], of a `transforms*.json` or of nerfstudio's
 /// `camera_path.json`, whose poses are in the world that nerfstudio trained in.
 ///
-/// Photographs need not exist where the files state the size of the image. Where they do exist, cameras are those of
-/// [`super::open`]. Cameras are sorted by name, numbers in names by their value; those of a `camera_path.json` are in its order.
+/// Photographs need not exist if the files state the size of the image. If they do exist, cameras are those of
+/// [`super::open`]. Cameras are sorted by name, numbers in names by their value; those of a `camera_path.json` are in
+/// its order.
 ///
 /// # Errors
 /// If a file is missing or malformed, a camera model cannot be undistorted, a pose is no rigid motion, the size of an image is
@@ -85,7 +86,7 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
                 if let (Some(found), None) = (read.fps, fps) {
                     fps = Some(rate(found, file)?);
                 }
-                // All are in the frame of the first file.
+                // All cameras are converted to the frame of the first file.
                 let turns = *y_up.get_or_insert(read.y_up) != read.y_up;
                 frames.extend(read.frames.into_iter().map(|frame| if turns { frame.turned() } else { frame }));
             }
@@ -114,10 +115,10 @@ fn at_least_one(found: Cameras, list: &Path) -> Result<Cameras, CaptureError> {
     Ok(found)
 }
 
-/// Frames a second that there may be: times at other rates are no keys of an animation, and no film.
+/// Valid frame rates: at others, times would not be keys of an animation, nor the result a film.
 pub const FRAME_RATES: RangeInclusive<f64> = 0.001..=1000.0;
 
-/// Frames a second that a file states.
+/// Frame rate stated by a file, if valid.
 fn rate(found: f64, file: &Path) -> Result<f64, CaptureError> {
     if FRAME_RATES.contains(&found) {
         return Ok(found);
@@ -147,7 +148,7 @@ fn camera(frame: Frame, options: &LoadOptions) -> Result<(String, Camera), Captu
     sized(frame.name, &camera, &frame.list, &place, options)
 }
 
-/// At the size that is asked for.
+/// The camera at the requested size.
 fn sized(
     name: String,
     camera: &Camera,
@@ -179,7 +180,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
             CaptureError::invalid(path, format!("/camera_path/{i}/camera_to_world"), "16 numbers", found)
         })?;
         let f = 0.5 * height / (0.5 * key.fov.to_radians()).tan();
-        // A float cast saturates; sizes that are no sizes are refused below.
+        // A float cast saturates; invalid sizes are refused below.
         let k =
             Intrinsics { width: width as u32, height: height as u32, fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
         let camera = Camera::new(k, rotation, translation)
@@ -191,7 +192,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
     at_least_one(Cameras { cameras, fps, y_up: false, images: vec![], passed_over: vec![] }, path)
 }
 
-/// Order of names in which `frame_2` is before `frame_10`.
+/// Natural order of names, in which `frame_2` comes before `frame_10`.
 fn natural(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     loop {

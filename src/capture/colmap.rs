@@ -1,4 +1,4 @@
-//! COLMAP models: which files are there, and how they become frames.
+//! COLMAP models: finding their files, and converting them to frames.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     let holds = |folder: &Path, files: &[&str]| files.iter().any(|f| folder.join(f).is_file());
     let cameras = ["cameras.bin", "cameras.txt", "frames.bin", "frames.txt"];
     let model = ["sparse/0", "sparse", "colmap/sparse/0"].iter().map(|f| root.join(f)).find(|f| holds(f, &cameras));
-    // In the capture's own folder a list of frames may be anyone's.
+    // In the capture's own folder a list of frames may belong to anything, so a list of images or rigs is required too.
     let others = ["images.bin", "images.txt", "rigs.bin", "rigs.txt"];
     model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
 }
@@ -43,15 +43,15 @@ pub(super) fn further_models(folder: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// A file of the model in `folder`, in the encoding of its cameras, else in the other.
+/// A file of the model in `folder`, preferably in the encoding of its cameras file.
 pub(super) fn file_of(folder: &Path, stem: &str) -> PathBuf {
     let extensions = if folder.join("cameras.bin").is_file() { ["bin", "txt"] } else { ["txt", "bin"] };
     let [usual, other] = extensions.map(|extension| folder.join(format!("{stem}.{extension}")));
     if other.is_file() && !usual.is_file() { other } else { usual }
 }
 
-/// Frames and points of the model in `folder`, with the images in `root/<images folder>`. Unless they are wanted, points are not
-/// read, nor which of them a frame sees.
+/// Reads frames and points of the model in `folder`, with the images in `root/<images folder>`. Unless points are
+/// wanted, neither they nor the visibility of points in frames are read.
 pub(super) fn load(
     root: &Path,
     folder: &Path,
@@ -72,7 +72,7 @@ pub(super) fn load(
     } else {
         colmap_text::images(&error::read_text(&images_file)?, &images_file)?
     };
-    // As `transforms.json` need not name any.
+    // Points are optional, as in `transforms.json`.
     let points_files = Vec::from_iter(Some(points_file).filter(|file| file.exists()));
     let PointRecords { points, tracks } = match points_files.first().filter(|_| wants_points) {
         None => PointRecords::default(),
@@ -122,7 +122,7 @@ fn frames(
         };
         let [w, x, y, z] = image.rotation;
         let rotation = DQuat::from_xyzw(x, y, z, w);
-        // The length of large numbers is infinite, and what it divides nothing.
+        // Large components may overflow to an infinite length, which cannot be normalised.
         if !(rotation.length() > 0.0 && rotation.length().is_finite()) {
             let found = format!("{:?}", image.rotation);
             return Err(CaptureError::invalid(path, place, "a unit quaternion", found));

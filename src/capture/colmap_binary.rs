@@ -1,4 +1,4 @@
-//! `cameras.bin`, `images.bin`, `points3D.bin` of COLMAP: little endian, counts first.
+//! Binary COLMAP files `cameras.bin`, `images.bin`, `points3D.bin`: little endian, counts first.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::colmap_records::{self, ImageRecord, PointRecords};
 use super::distortion::Lens;
 use super::{CaptureError, Point};
 
-/// Reads numbers off the front of a file and knows where it is.
+/// Reader of numbers from the front of a file, which tracks its position.
 struct Cursor<'a> {
     bytes: &'a [u8],
     offset: usize,
@@ -55,8 +55,8 @@ impl<'a> Cursor<'a> {
         Ok(values)
     }
 
-    /// A count of records of at least `size` bytes, refused if the file cannot hold them: nothing is allocated on
-    /// the word of the file alone.
+    /// Reads a count of records of at least `size` bytes, and fails if the file cannot hold them, so that nothing is
+    /// allocated on the word of the file alone.
     fn count(&mut self, size: usize, what: &str) -> Result<usize, CaptureError> {
         let count = self.u64(what)?;
         match usize::try_from(count).ok().filter(|&n| n <= self.left() / size) {
@@ -69,7 +69,7 @@ impl<'a> Cursor<'a> {
         self.offset += count * size;
     }
 
-    /// Error if anything follows the last of the records.
+    /// Checks that nothing follows the last record.
     fn end(&self, records: &str) -> Result<(), CaptureError> {
         match self.left() {
             0 => Ok(()),
@@ -82,7 +82,7 @@ impl<'a> Cursor<'a> {
     }
 }
 
-/// The cameras by number.
+/// Cameras by number.
 pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, CaptureError> {
     let mut file = Cursor::new(bytes, path);
     let count = file.count(4 + 4 + 8 + 8, "cameras")?;
@@ -119,7 +119,7 @@ pub(super) fn cameras(bytes: &[u8], path: &Path) -> Result<HashMap<u32, Lens>, C
     Ok(cameras)
 }
 
-/// The images in the order of the file; their 2-D points are passed over.
+/// Images in the order of the file; their 2-D points are skipped.
 pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, CaptureError> {
     let mut file = Cursor::new(bytes, path);
     let count = file.count(4 + 7 * 8 + 4 + 1 + 8, "images")?;
@@ -146,7 +146,7 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<ImageRecord>, Capt
     Ok(images)
 }
 
-/// The points in the order of the file.
+/// Points in the order of the file.
 pub(super) fn points(bytes: &[u8], path: &Path) -> Result<PointRecords, CaptureError> {
     let mut file = Cursor::new(bytes, path);
     let count = file.count(8 + 3 * 8 + 3 + 8 + 8, "points")?;

@@ -1,4 +1,4 @@
-//! What the files of a COLMAP model hold, in either form: camera models and what they mean, images and points.
+//! Records of a COLMAP model, common to both encodings: camera models and their meaning, images and points.
 
 use super::Point;
 use super::distortion::{Distortion, Lens};
@@ -78,25 +78,25 @@ pub(super) fn lens(name: &str, p: &[f64], width: u32, height: u32) -> Option<Len
     Some(Lens { intrinsics, distortion })
 }
 
-/// The focal length of a lens that is no pinhole's.
+/// The first focal length of a lens that is not positive.
 pub(super) fn unfit_focal_length(lens: &Lens) -> Option<f64> {
     [lens.intrinsics.fx, lens.intrinsics.fy].into_iter().find(|f| *f <= 0.0)
 }
 
-/// One line of `images.txt` or record of `images.bin`.
+/// A record of `images.txt` or `images.bin`.
 #[derive(Debug)]
 pub(super) struct ImageRecord {
-    /// Where it stands: `line 7`, `byte 120`.
+    /// Position in the file: `line 7`, `byte 120`.
     pub(super) at: String,
     pub(super) id: u32,
     pub(super) name: String,
     pub(super) camera: u32,
-    /// w, x, y, z; world→camera.
+    /// Quaternion w, x, y, z; world→camera.
     pub(super) rotation: [f64; 4],
     pub(super) translation: [f64; 3],
 }
 
-/// The points of a model, and for each the images that see it, by their number.
+/// Points of a model, and for each the numbers of the images that see it.
 #[derive(Debug, Default)]
 pub(super) struct PointRecords {
     pub(super) points: Vec<Point>,

@@ -1,4 +1,5 @@
-//! `cameras.txt`, `images.txt`, `points3D.txt`: one record per line (images: two), `#` starts a comment.
+//! COLMAP text files `cameras.txt`, `images.txt`, `points3D.txt`: one record per line (images: two), `#` starts a
+//! comment.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -48,7 +49,7 @@ fn lines<'a>(text: &'a str, path: &'a Path) -> impl Iterator<Item = (&'a str, Li
         .map(move |(i, text)| (text.trim(), Line { words: text.split_whitespace(), number: i + 1, path }))
 }
 
-/// The cameras by number.
+/// Cameras by number.
 pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, CaptureError> {
     let mut cameras = HashMap::new();
     for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
@@ -81,7 +82,7 @@ pub(super) fn cameras(text: &str, path: &Path) -> Result<HashMap<u32, Lens>, Cap
     Ok(cameras)
 }
 
-/// The images in the order of the file; the second line of each, its 2-D points, is passed over.
+/// Images in the order of the file; the second line of each, its 2-D points, is skipped.
 pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, CaptureError> {
     let mut images = Vec::new();
     let mut lines = lines(text, path);
@@ -93,7 +94,7 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
         let rotation = line.numbers("a quaternion")?;
         let translation = line.numbers("a translation")?;
         let camera = line.number("a camera id")?;
-        // A name may contain spaces: it is what follows the ninth word.
+        // A name may contain spaces: it is everything after the ninth word.
         let name = (0..9).fold(text, |rest, _| rest.trim_start_matches(|c: char| !c.is_whitespace()).trim_start());
         if name.is_empty() {
             return Err(line.invalid("an image name", "the end of the line"));
@@ -107,7 +108,7 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
             translation,
         });
         let Some((points, line)) = lines.next() else { break };
-        // Where empty lines were taken out, every second image would be passed over.
+        // If empty lines had been removed, every second image would be skipped.
         let words: Vec<&str> = points.split_whitespace().collect();
         let is_point = |last: &&str| last.parse::<i64>().is_ok();
         if !words.len().is_multiple_of(3) || !words.last().is_none_or(is_point) {
@@ -118,7 +119,7 @@ pub(super) fn images(text: &str, path: &Path) -> Result<Vec<ImageRecord>, Captur
     Ok(images)
 }
 
-/// The points in the order of the file.
+/// Points in the order of the file.
 pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureError> {
     let mut records = PointRecords::default();
     for (_, mut line) in lines(text, path).filter(|(text, _)| !text.is_empty()) {
@@ -128,7 +129,7 @@ pub(super) fn points(text: &str, path: &Path) -> Result<PointRecords, CaptureErr
             return Err(line.invalid("finite numbers", &format!("{:?}", position.to_array())));
         }
         let rgb = line.numbers("a colour of 0 to 255")?;
-        // After the reprojection error, pairs of an image's number and that of one of its 2-D points.
+        // The reprojection error is followed by pairs of image number and index of its 2-D point.
         line.words.next();
         let mut track = vec![];
         while line.words.clone().next().is_some() {

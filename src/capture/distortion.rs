@@ -7,12 +7,12 @@ use glam::{DMat2, DVec2};
 
 use crate::scene::Intrinsics;
 
-/// A real lens: a pixel is `(fx, fy)·distortion(p) + (cx, cy)`.
+/// Lens with distortion: a pixel is `(fx, fy)·distortion(p) + (cx, cy)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
     /// Focal lengths, principal point and size, in pixels of the photograph.
     pub intrinsics: Intrinsics,
-    /// What happens on the plane z = 1 before.
+    /// Distortion on the plane z = 1.
     pub distortion: Distortion,
 }
 
@@ -94,7 +94,7 @@ impl Distortion {
         }
     }
 
-    /// Where the lens puts the undistorted point `p`. Not finite, or folded over, outside the lens's domain.
+    /// Distorted position of the undistorted point `p`. Not finite, or folded over, outside the lens's domain.
     #[must_use]
     pub fn distort(&self, p: DVec2) -> DVec2 {
         let r = p.length();
@@ -133,7 +133,7 @@ impl Distortion {
             if error.length() < 1e-15 * (1.0 + d.length()) {
                 break;
             }
-            // The Jacobian only steers; the residual decides.
+            // The Jacobian is approximate; convergence is judged by the residual.
             let h = 1e-7 * (1.0 + p.length());
             let column = |axis: DVec2| (self.distort(p + h * axis) - self.distort(p - h * axis)) / (2.0 * h);
             let mut step = DMat2::from_cols(column(DVec2::X), column(DVec2::Y)).inverse() * error;
@@ -150,8 +150,8 @@ impl Distortion {
         (error.length() < 1e-12 * (1.0 + d.length())).then_some(p)
     }
 
-    /// The largest radius ≤ `limit` up to which the radial part grows: beyond it, polynomials fold the outside of
-    /// the picture back into it. Exact to `limit`/1024.
+    /// Largest radius ≤ `limit` up to which the radial part increases: beyond it, polynomials fold the outside of the
+    /// picture back into it. Exact to `limit`/1024.
     fn domain(&self, limit: f64) -> f64 {
         let mut last = 0.0;
         for i in 1..=1024 {
@@ -201,12 +201,12 @@ fn sample(rgba: &[u8], width: u32, height: u32, x: f64, y: f64) -> [u8; 4] {
     [r, g, b, (alpha + 0.5) as u8]
 }
 
-/// Most times its own focal length that the pinhole image of a photograph may have, see [`Lens::pinhole`].
+/// Largest factor between the focal lengths of the pinhole image and of the photograph, see [`Lens::pinhole`].
 const CLOSEST: f64 = 2.0;
-/// What the times are found to, and the part by which they are more than they need be: far less than a pixel, and more than rounding.
+/// Precision of that factor, and margin added to it: far less than a pixel, and more than rounding.
 const CLOSE: f64 = 1e-9;
 
-/// Column and row of every pixel along the border of a picture that is not empty; the corners first, which lenses move most.
+/// Column and row of every pixel along the border of a non-empty picture; corners first, which lenses displace most.
 fn border(width: u32, height: u32) -> impl Iterator<Item = (u32, u32)> {
     let (right, bottom) = (width - 1, height - 1);
     let corners = [0, right].into_iter().flat_map(move |x| [(x, 0), (x, bottom)]);
@@ -222,19 +222,21 @@ impl Lens {
         Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }
 
-    /// The pinhole camera whose image a photograph becomes, at the photograph's size.
+    /// Pinhole camera of the undistorted image, at the photograph's size.
     ///
-    /// It has the photograph's own intrinsics, so that the centre keeps its resolution and what falls outside that frame is cut off. Where
-    /// this would show places outside of the photograph, as with pincushion distortion, both focal lengths are the least multiple of
-    /// them, to a billionth, with which no pixel's centre does: no pixel is blank, as by COLMAP's undistorter. With barrel distortion that
-    /// is once, exactly, unless the lens folds its picture back within the frame.
+    /// It has the photograph's own intrinsics, so that the centre keeps its resolution and what falls outside that
+    /// frame is cut off. If that would show places outside of the photograph, as with pincushion distortion, both focal
+    /// lengths are multiplied by the least factor, to a billionth, with which no pixel's centre does: no pixel is
+    /// blank, as by COLMAP's undistorter. With barrel distortion the factor is exactly 1, unless the lens folds its
+    /// picture back within the frame.
     ///
-    /// A lens for which even twice the focal length is too little, which would leave less than a quarter of the view, keeps its own: what is
-    /// not in the photograph is blank then, and does not count ([`Photo::masked`](super::Photo::masked)).
+    /// A lens for which even a factor of two is too little, which would leave less than a quarter of the view, keeps
+    /// its own focal lengths: pixels outside the photograph are then blank, and do not count
+    /// ([`Photo::masked`](super::Photo::masked)).
     #[must_use]
     pub fn pinhole(&self) -> Intrinsics {
         let k = self.intrinsics;
-        // No picture has another size, and what says so is refused.
+        // No picture has an invalid size; it is refused elsewhere.
         if self.distortion == Distortion::None || !Intrinsics::is_size(k.width, k.height) {
             return k;
         }
@@ -242,7 +244,7 @@ impl Lens {
         Intrinsics { fx: times * k.fx, fy: times * k.fy, ..k }
     }
 
-    /// How many times as long its focal lengths are.
+    /// Factor on the focal lengths, at least 1.
     fn closer(&self) -> f64 {
         let k = &self.intrinsics;
         let domain = self.domain();
@@ -250,7 +252,7 @@ impl Lens {
             let p = DVec2::new(f64::from(x) + 0.5 - k.cx, f64::from(y) + 0.5 - k.cy);
             self.shows(p / (times * DVec2::new(k.fx, k.fy)), domain).is_some()
         };
-        // The inside of a picture is inside where its border is: lenses do not fold within their domain.
+        // The interior of the picture is covered if its border is, as lenses do not fold within their domain.
         let mut times = 1.0;
         for pixel in border(k.width, k.height) {
             if is_shown(pixel, times) {
@@ -270,12 +272,12 @@ impl Lens {
             }
             times = more + CLOSE;
         }
-        // What is closer shows less on all sides, unless the principal point is outside.
+        // A larger factor shows less on all sides, unless the principal point is outside.
         let is_covered = times == 1.0 || border(k.width, k.height).all(|pixel| is_shown(pixel, times));
         if is_covered { times } else { 1.0 }
     }
 
-    /// The squared radius on the plane z = 1 that the lens's domain has within the photograph's frame.
+    /// Squared radius, on the plane z = 1, of the lens's domain within the photograph's frame.
     fn domain(&self) -> f64 {
         let k = &self.intrinsics;
         let [w, h] = k.size().to_array();
@@ -283,7 +285,8 @@ impl Lens {
         self.distortion.domain(far.length()).powi(2)
     }
 
-    /// Where the photograph shows the undistorted point `p`, in continuous pixels, if it does; `domain` is [`Self::domain`].
+    /// Position in the photograph, continuous pixels, of the undistorted point `p`, if it is inside; `domain` is
+    /// [`Self::domain`].
     fn shows(&self, p: DVec2, domain: f64) -> Option<DVec2> {
         let k = &self.intrinsics;
         let d = self.distortion.distort(p);
@@ -292,8 +295,8 @@ impl Lens {
         (p.length_squared() <= domain && is_inside).then_some(uv)
     }
 
-    /// Position in the image of `pinhole`, which is [`Self::pinhole`] or that at another size, of what the photograph shows at `uv`, both in
-    /// continuous pixels.
+    /// Position in the image of `pinhole`, which is [`Self::pinhole`] possibly at another size, of the photograph's
+    /// position `uv`, both in continuous pixels.
     #[must_use]
     pub fn undistort(&self, uv: DVec2, pinhole: &Intrinsics) -> Option<DVec2> {
         let k = &self.intrinsics;
@@ -301,9 +304,9 @@ impl Lens {
         Some(p * DVec2::new(pinhole.fx, pinhole.fy) + DVec2::new(pinhole.cx, pinhole.cy))
     }
 
-    /// The image that [`Self::pinhole`] has of what a photograph `rgba` `[height·width·4]` shows.
+    /// Undistorts a photograph `rgba` `[height·width·4]` to the image of [`Self::pinhole`].
     ///
-    /// Second result: whether some pixels have no photograph behind them. Those are 0, alpha included.
+    /// Second result: whether some pixels lie outside the photograph. These are 0, alpha included.
     pub(super) fn rectify(&self, rgba: &[u8]) -> (Vec<u8>, bool) {
         let k = self.pinhole();
         let domain = self.domain();

@@ -3,20 +3,20 @@ use std::path::{Path, PathBuf};
 
 use crate::{format::FormatError, scene::SceneError};
 
-/// Why a capture cannot be used. Every message is one line with the file, the place, what was expected and what
-/// was found.
+/// Error of reading a capture. Every message is one line with the file, the place, what was expected and what was
+/// found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
     /// A file or folder cannot be read.
     #[error("{}: cannot read: {source}", .path.display())]
     Io {
-        /// What was opened.
+        /// The file or folder.
         path: PathBuf,
-        /// The system's reason.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A file ends before what it announces.
+    /// A file ends before the data it announces.
     #[error("{}: ends at byte {offset}, expected {expected}", .path.display())]
     Truncated {
         /// The file.
@@ -26,55 +26,55 @@ pub enum CaptureError {
         /// What should have followed.
         expected: String,
     },
-    /// A value in a file is not what its format asks for.
+    /// A value in a file does not conform to its format.
     #[error("{}: {place}: expected {expected}, found {found}", .path.display())]
     Invalid {
         /// The file or folder.
         path: PathBuf,
         /// Byte, line, JSON pointer, or property of an image.
         place: String,
-        /// What would have been accepted.
+        /// What is expected there.
         expected: String,
-        /// What was there.
+        /// What was found there.
         found: String,
     },
-    /// A camera model for which no pinhole image can be made.
+    /// A camera model without a pinhole image.
     #[error(
         "{}: {place}: expected a camera model with a pinhole image, found camera model {}; undistort the capture with COLMAP first",
         .path.display(),
         .model.chars().take(60).collect::<String>().escape_debug()
     )]
     UnsupportedModel {
-        /// The file that names it.
+        /// The file that names the model.
         path: PathBuf,
         /// Byte, line or JSON pointer.
         place: String,
-        /// COLMAP's or nerfstudio's name, or the number of an unknown one.
+        /// COLMAP's or nerfstudio's name of the model, or its number if unknown.
         model: String,
     },
-    /// An image cannot be decoded; decoders do not say where.
+    /// An image cannot be decoded; decoders do not report where.
     #[error("{}: expected a PNG or JPEG, found one that cannot be decoded: {reason}", .path.display())]
     Image {
         /// The image.
         path: PathBuf,
-        /// The decoder's reason.
+        /// The decoder's message.
         reason: String,
     },
-    /// Its points cannot be read.
+    /// The points cannot be read.
     #[error(transparent)]
     Points(#[from] FormatError),
     /// Images or masks that the capture names do not exist.
     #[error("{}: {count} of {total} {what} missing, the first is {first}", .folder.display())]
     Missing {
-        /// Where they were looked for.
+        /// Folder in which they were expected.
         folder: PathBuf,
         /// `images` or `masks`.
         what: &'static str,
-        /// How many are not there.
+        /// Number of missing files.
         count: usize,
-        /// How many there should be.
+        /// Number of files named.
         total: usize,
-        /// The first one: an image's path in the folder, or the image that lacks a mask.
+        /// The first missing one: an image's path in the folder, or the image that lacks a mask.
         first: String,
     },
 }
@@ -86,7 +86,7 @@ impl CaptureError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        // Numbers of 300 digits, and what decoders quote.
+        // Shortens numbers of 300 digits, and quotes by decoders.
         const MOST: usize = 200;
         let mut found: String = found.into();
         if let Some((cut, _)) = found.char_indices().nth(MOST) {
@@ -96,17 +96,18 @@ impl CaptureError {
         Self::Invalid { path: path.into(), place: place.into(), expected: expected.into(), found }
     }
 
-    /// JSON that is no such thing, or not what it should be.
+    /// Error for text that is no JSON, or not of the expected shape.
     pub(super) fn json(path: &Path, expected: &str, error: &serde_json::Error) -> Self {
         let place = format!("line {} column {}", error.line(), error.column());
         let why = error.to_string();
         let why = why.split(" at line ").next().unwrap_or_default();
-        // The parser's words for what it cannot begin to read, such as NaN, which JSON has no way to write, say what it wanted.
+        // For text that the parser cannot begin to read, such as NaN, which JSON has no way to write, its message says
+        // what it wanted.
         let found = if error.is_syntax() { format!("no JSON: {why}") } else { why.to_owned() };
         Self::invalid(path, place, expected, found)
     }
 
-    /// A value that `scene` refuses, found at `place` of `path`.
+    /// Error for a value that `scene` refuses, found at `place` of `path`.
     pub(super) fn scene(path: &Path, place: &str, error: SceneError) -> Self {
         Self::invalid(path, format!("{place}: {}", error.field), error.expected, error.found)
     }
@@ -117,7 +118,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, CaptureError> {
     std::fs::read(path).map_err(|source| CaptureError::Io { path: path.into(), source })
 }
 
-/// The first bytes of a file, at most so many, and the length of all of it.
+/// First bytes of a file, at most `most`, and the length of the whole file.
 pub(super) fn read_start(path: &Path, most: usize) -> Result<(Vec<u8>, usize), CaptureError> {
     let read = || -> std::io::Result<_> {
         let file = std::fs::File::open(path)?;
@@ -129,7 +130,7 @@ pub(super) fn read_start(path: &Path, most: usize) -> Result<(Vec<u8>, usize), C
     read().map_err(|source| CaptureError::Io { path: path.into(), source })
 }
 
-/// The text of `path`, without the byte order mark that editors of Windows put before it.
+/// Text of `path`, without the byte order mark that editors of Windows put in front.
 pub(super) fn read_text(path: &Path) -> Result<String, CaptureError> {
     let mut text = String::from_utf8(read(path)?).map_err(|e| {
         let at = format!("byte {}", e.utf8_error().valid_up_to());

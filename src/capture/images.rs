@@ -1,4 +1,4 @@
-//! From an image file to a picture that fits its pinhole camera.
+//! Images: from a file to a picture that fits its pinhole camera.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -14,22 +14,22 @@ use super::{CaptureError, View, error};
 use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
 use crate::scene::Intrinsics;
 
-/// Of an image file, in which its size and EXIF usually are.
+/// Bytes at the start of an image file, which usually contain its size and EXIF.
 const HEADER_BYTES: usize = 1 << 17;
 
-/// Where a picture comes from and what makes it fit its camera.
+/// Origin of a picture, and the processing that makes it fit its camera.
 #[derive(Clone, Debug)]
 pub struct ImageSource {
     pub(super) image: PathBuf,
     pub(super) mask: Option<PathBuf>,
     pub(super) orientation: Orientation,
-    /// At the size of the upright photograph.
+    /// Lens at the size of the upright photograph.
     pub(super) lens: Lens,
     /// Size after downscaling.
     pub(super) size: (u32, u32),
     pub(super) held_out: Option<bool>,
     pub(super) time: Option<f64>,
-    /// The file has a channel of alpha, of which nothing need be transparent.
+    /// Whether the file has an alpha channel; nothing in it need be transparent.
     pub(super) stores_alpha: bool,
 }
 
@@ -52,7 +52,7 @@ impl ImageSource {
         &self.lens
     }
 
-    /// The same picture, shrunk to this size when it is decoded.
+    /// The same picture, to be shrunk to this size when decoded.
     pub(super) fn resized(&self, size: (u32, u32)) -> Self {
         Self { size, ..self.clone() }
     }
@@ -63,7 +63,8 @@ impl ImageSource {
         self.held_out
     }
 
-    /// When the photograph was taken, in a unit of the capture's own, if that says so: `time` (D-NeRF, nerfstudio) or `timestep_index` (VHAP).
+    /// Time at which the photograph was taken, in the capture's own unit, if stated: `time` (D-NeRF, nerfstudio) or
+    /// `timestep_index` (VHAP).
     #[must_use]
     pub fn time(&self) -> Option<f64> {
         self.time
@@ -78,7 +79,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// EXIF orientation, and the size of the picture turned by it.
+    /// EXIF orientation, and the size of the picture after applying it.
     pub(super) fn upright(&self) -> (Orientation, (u32, u32)) {
         let (w, h) = self.size;
         let turned = matches!(
@@ -88,14 +89,14 @@ impl Header {
         (self.orientation, if turned { (h, w) } else { (w, h) })
     }
 
-    /// The picture as stored.
+    /// Identity orientation, and the size of the picture as stored.
     pub(super) fn stored(&self) -> (Orientation, (u32, u32)) {
         (Orientation::NoTransforms, self.size)
     }
 }
 
-/// Which of several ways to turn a picture gives it this size, or else most nearly this aspect ratio, to 1 %: of one that is nearly square more
-/// than one does. Of equal ways it is the first.
+/// Chooses the orientation with which a picture has this size, or else the nearest aspect ratio, within 1 %; for a
+/// nearly square picture several may qualify. Among equals the first is taken.
 pub(super) fn fitting<const N: usize>(
     ways: [(Orientation, (u32, u32)); N],
     size: (u32, u32),
@@ -106,7 +107,7 @@ pub(super) fn fitting<const N: usize>(
     of_size.or_else(|| by_aspect().filter(|way| off_aspect(way.1, size) <= 0.01))
 }
 
-/// The part by which the aspect ratios of two sizes differ.
+/// Relative difference of the aspect ratios of two sizes.
 fn off_aspect(a: (u32, u32), b: (u32, u32)) -> f64 {
     let ratio = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
     (ratio(a) / ratio(b) - 1.0).abs()
@@ -117,17 +118,17 @@ fn image_error(path: &Path, length: usize, error: &ImageError) -> CaptureError {
         ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
             CaptureError::Truncated { path: path.into(), offset: length, expected: "more image data".into() }
         }
-        // Decoders put line breaks into some of their messages.
+        // Decoders put line breaks into some messages.
         other => CaptureError::Image { path: path.into(), reason: other.to_string().replace('\n', " ") },
     }
 }
 
-/// A decoder for `bytes`, with which the file of `length` bytes begins; the size of the picture has been checked.
+/// Decoder for `bytes`, the beginning of a file of `length` bytes; the size of the picture has been checked.
 fn decoder<'a>(bytes: &'a [u8], length: usize, path: &Path) -> Result<impl ImageDecoder + 'a, CaptureError> {
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
         .map_err(|e| image_error(path, bytes.len(), &e.into()))?;
-    // Not of pixels, which have a limit below.
+    // Not for pixels, whose number is limited below.
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(MAX_BESIDE_PIXELS);
     reader.limits(limits);
@@ -158,7 +159,7 @@ pub(super) fn header(path: &Path) -> Result<Header, CaptureError> {
     {
         return Ok(header);
     }
-    // Long profiles or previews come first, or something is wrong with it.
+    // Long profiles or previews may come first, or the file is faulty.
     let bytes = error::read(path)?;
     read(&bytes, bytes.len())
 }
@@ -166,7 +167,7 @@ pub(super) fn header(path: &Path) -> Result<Header, CaptureError> {
 /// All pixels of the image at `path` as stored, and the orientation its EXIF data gives.
 fn pixels(path: &Path) -> Result<(DynamicImage, Orientation), CaptureError> {
     let bytes = error::read(path)?;
-    // The JPEG decoder fills what is missing with grey.
+    // The JPEG decoder fills missing data with grey.
     if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(&bytes) {
         let expected = "the end-of-image marker of a JPEG".into();
         return Err(CaptureError::Truncated { path: path.into(), offset: bytes.len(), expected });
@@ -197,10 +198,11 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
     false
 }
 
-/// Reads, turns, masks, undistorts and downscales the picture of a view.
+/// Decodes the picture of a view: reads, orients, masks, undistorts and downscales it.
 ///
 /// # Errors
-/// If the image or its mask cannot be read, is truncated, or has changed its size since [`super::open`], or its lens leaves nothing of it.
+/// If the image or its mask cannot be read, is truncated, or has changed its size since [`super::open`], or
+/// undistortion leaves nothing of it.
 pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     let source = &view.source;
     let (width, height) = (source.lens.intrinsics.width, source.lens.intrinsics.height);
@@ -236,11 +238,12 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
     Ok(Photo { width, height, rgba, has_alpha, masked })
 }
 
-/// The mask at `path` in the size of its photograph, which was turned by `orientation`: 255 where pixels count.
+/// Reads the mask at `path` at the size of its photograph, which was oriented by `orientation`: 255 where pixels count.
 fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> Result<GrayImage, CaptureError> {
     let (mut image, own) = pixels(path)?;
     let header = Header { size: (image.width(), image.height()), orientation: own, has_alpha: false };
-    // As its photograph: as stored, whatever EXIF says, or turned, by a note of its own or, where there is none, by the photograph's.
+    // Oriented like its photograph: as stored if that is, else by its own EXIF note or, without one, by the
+    // photograph's.
     let stored = header.stored();
     let turned = [header.upright(), stored, Header { orientation, ..header }.upright()];
     let ways = if orientation == Orientation::NoTransforms { [stored, turned[0], stored] } else { turned };
@@ -256,8 +259,8 @@ fn mask(path: &Path, orientation: Orientation, (width, height): (u32, u32)) -> R
     Ok(imageops::resize(&mask, width, height, FilterType::Triangle))
 }
 
-/// How far each pixel of a mask counts: as far as it is light and opaque, or, where there is but one level besides black, as of labels, wholly:
-/// COLMAP takes whatever is not black for white.
+/// Weight of each pixel of a mask: its lightness times opacity, or 1 if the mask has only one level besides black, as
+/// for labels: COLMAP takes everything that is not black for white.
 fn weights(mask: DynamicImage) -> GrayImage {
     let (size, levels) = ((mask.width(), mask.height()), levels(mask));
     let most = match lightest(&levels) {
@@ -270,27 +273,28 @@ fn weights(mask: DynamicImage) -> GrayImage {
     GrayImage::from_raw(size.0, size.1, weights).expect("a weight per pixel")
 }
 
-/// The level of a mask's pixel that is white and opaque.
+/// Level of a white, opaque pixel of a mask.
 const WHITE: u32 = 65_535_u32.pow(2);
 
-/// How light and opaque each pixel of a mask is.
+/// Lightness times opacity of each pixel of a mask.
 fn levels(mask: DynamicImage) -> Vec<u32> {
-    // Labels of 16 bits would be 0 in 8.
+    // In 16 bits, as 16-bit labels would be 0 in 8.
     mask.into_luma_alpha16().pixels().map(|p| u32::from(p[0]) * u32::from(p[1])).collect()
 }
 
-/// The highest level of a mask, and whether it is the only one besides black; `None` where all is black.
+/// Highest level of a mask, and whether it is the only one besides black; `None` if all is black.
 fn lightest(levels: &[u32]) -> Option<(u32, bool)> {
     let level = levels.iter().copied().max().filter(|level| *level > 0)?;
     Some((level, levels.iter().all(|other| [0, level].contains(other))))
 }
 
-/// Masks that are looked at together.
+/// Number of masks checked at once.
 const MASKS_AT_ONCE: usize = 4;
 
-/// Error where masks are labels of several things, each of which would count as little as its number is, or leave nothing.
+/// Rejects masks that are labels of several things, which would be weighted by their label numbers, and masks that
+/// leave nothing.
 pub(super) fn check_masks(masks: &[&Path]) -> Result<(), CaptureError> {
-    // The highest level of all, and a mask of several.
+    // Highest level of all masks, and a mask with several levels.
     let mut found: (u32, Option<&Path>) = (0, None);
     for some in masks.chunks(MASKS_AT_ONCE) {
         let look = |path: &&Path| Ok(lightest(&levels(pixels(path)?.0)));
@@ -299,7 +303,7 @@ pub(super) fn check_masks(masks: &[&Path]) -> Result<(), CaptureError> {
             let Some((level, is_one)) = lightest else { continue };
             found = (found.0.max(level), found.1.or((!is_one).then_some(path)));
         }
-        // As a rule the first is enough.
+        // Usually the first masks suffice.
         if found.0 >= WHITE / 2 {
             return Ok(());
         }
@@ -314,8 +318,7 @@ pub(super) fn check_masks(masks: &[&Path]) -> Result<(), CaptureError> {
     Err(CaptureError::invalid(path, "mask", expected, found))
 }
 
-/// Bicubic (a = −½) with the support scaled by the factor, as Pillow does. Colours are
-/// weighted by alpha.
+/// Resizes bicubically (a = −½) with the support scaled by the factor, as Pillow does. Colours are weighted by alpha.
 fn resize(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
     if rgba.dimensions() == (width, height) {
         return rgba;

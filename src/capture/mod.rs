@@ -1,7 +1,7 @@
-//! What was photographed: readers that turn a folder into posed views and points.
+//! Captures: readers that turn a folder of photographs into posed views and points.
 //!
-//! [`open`] reads poses, points and image *headers*; [`decode`] makes one picture, [`PhotoCache`] many of them ahead
-//! of time and in parallel. Every view leaves here as an ideal pinhole: lens distortion is taken out on decoding.
+//! [`open`] reads poses, points and image *headers*; [`decode`] decodes one picture, [`PhotoCache`] many of them ahead
+//! of time and in parallel. Every view has an ideal pinhole camera: lens distortion is removed on decoding.
 
 mod cache;
 mod cameras;
@@ -36,35 +36,36 @@ use crate::{
     stats::median,
 };
 
-/// A set of posed photographs and what structure from motion knows of the surface.
+/// A set of posed photographs, and the sparse points of structure from motion.
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// Name of the folder.
     pub name: String,
-    /// At least two, sorted by name.
+    /// Views, at least two, sorted by name.
     pub views: Vec<View>,
     /// Sparse points in world space, finite; empty if the capture has none.
     pub points: Vec<Point>,
-    /// The files that points are of, also where these are not wanted; none if the capture names none.
+    /// Files of the points, even if points are not wanted; none if the capture names none.
     pub points_files: Vec<PathBuf>,
-    /// Lists of views beside the one that was read, where the capture is a folder with several: folders of COLMAP models, and files.
+    /// Lists of views that were ignored in favour of the one read, if the capture is a folder with several: folders of
+    /// COLMAP models, and files.
     pub passed_over: Vec<PathBuf>,
 }
 
 impl Capture {
-    /// Of all views, in their order.
+    /// Cameras of all views, in their order.
     #[must_use]
     pub fn cameras(&self) -> Vec<Camera> {
         self.views.iter().map(|view| view.camera).collect()
     }
 
-    /// Whether masks are applied to any of its photographs.
+    /// Whether any photograph has a mask applied.
     #[must_use]
     pub fn has_masks(&self) -> bool {
         self.views.iter().any(|view| view.source.mask().is_some())
     }
 
-    /// Whether its photographs may show no more than a part of what is there: masks are applied, or files have a channel of alpha.
+    /// Whether photographs may be cut out: masks are applied, or files have an alpha channel.
     #[must_use]
     pub fn may_be_cut_out(&self) -> bool {
         self.has_masks() || self.views.iter().any(|view| view.source.stores_alpha)
@@ -77,13 +78,13 @@ impl Capture {
     }
 }
 
-/// What the lists of a capture say, before its photographs are looked at.
+/// Content of a capture's lists, before its photographs are read.
 struct Listed {
     frames: Vec<Frame>,
-    /// The file that lists the frames, the first where there are several.
+    /// File that lists the frames, the first if there are several.
     list: PathBuf,
     points: Vec<Point>,
-    /// As in [`Capture`].
+    /// As [`Capture::points_files`].
     points_files: Vec<PathBuf>,
 }
 
@@ -92,16 +93,17 @@ struct Listed {
 pub struct View {
     /// Name in the capture, unique: COLMAP's image name or the `file_path` of a `transforms.json`.
     pub name: String,
-    /// Pinhole at the size of the decoded picture: that of [`Lens::pinhole`], downscaled.
+    /// Pinhole camera at the size of the decoded picture: that of [`Lens::pinhole`], downscaled.
     pub camera: Camera,
-    /// Where the picture comes from and what is done to it.
+    /// Origin and processing of the picture.
     pub source: ImageSource,
-    /// Indices into [`Capture::points`] of those that were found in the picture, ascending; empty if the capture does not say.
+    /// Indices into [`Capture::points`] of the points found in the picture, ascending; empty if the capture does not
+    /// list them.
     pub sees: Vec<u32>,
 }
 
 impl View {
-    /// The same view with both sides of its picture scaled, at least a pixel each. The camera follows the rounded size.
+    /// The view with both sides of its picture scaled, to at least one pixel each. The camera follows the rounded size.
     #[must_use]
     pub fn scaled(&self, scale: f64) -> Self {
         let k = self.camera.intrinsics();
@@ -120,36 +122,38 @@ pub struct Point {
     pub rgb: [u8; 3],
 }
 
-/// What to take from a capture.
+/// Options of reading a capture.
 #[derive(Clone, Debug, Default)]
 pub struct LoadOptions {
     /// Size of the decoded pictures.
     pub downscale: Downscale,
-    /// Folder of the images instead of `images`, such as `images_4`. For `transforms.json` it takes the place of a
-    /// leading `images` in the paths.
+    /// Image folder instead of `images`, such as `images_4`. For `transforms.json` it replaces a leading `images` in
+    /// the paths.
     pub images: Option<String>,
-    /// Apply `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a `transforms.json`:
-    /// white is the object, or the one level besides black if there is one only; what is transparent counts as black. Masks of several levels
-    /// need white in one of them at least. With a folder `masks`, or where one image has a mask, every image needs one.
+    /// Apply masks: `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a
+    /// `transforms.json`. White is the object, or the only level besides black; transparent pixels count as black.
+    /// Masks of several levels need white in at least one of them. With a folder `masks`, or if one image has a mask,
+    /// every image needs one.
     pub masks: bool,
-    /// Leave points where they are, as if there were none: their file is not looked at.
+    /// Ignore points, as if there were none: their file is not read.
     pub without_points: bool,
 }
 
 /// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (INRIA 3DGS, `utils/general_utils.py`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Downscale {
-    /// As stored.
+    /// Full size, as stored.
     #[default]
     Full,
-    /// Both sides divided by this and rounded, halves to even as Python's `round` does for INRIA 3DGS; 0 is taken as 1.
+    /// Both sides divided by this number and rounded, halves to even as Python's `round` does for INRIA 3DGS; 0 counts
+    /// as 1.
     Factor(u32),
     /// The longer side at most this many pixels.
     MaxSide(u32),
 }
 
 impl Downscale {
-    /// Size of a `width`×`height` picture afterwards, at least 1×1.
+    /// Size of a `width`×`height` picture after downscaling, at least 1×1.
     #[must_use]
     pub fn size(self, width: u32, height: u32) -> (u32, u32) {
         let scale = match self {
@@ -162,14 +166,15 @@ impl Downscale {
     }
 }
 
-/// Which views are held out for testing.
+/// Split into training views and views held out for testing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Split {
-    /// None: all are trained on.
+    /// No view is held out.
     All,
-    /// Every eighth by name, beginning with the first, as INRIA 3DGS does (`scene/dataset_readers.py`). A capture that brings its own split
-    /// (`transforms_test.json`, else `transforms_val.json`; `test_filenames`, `val_filenames`) keeps that instead.
+    /// Every eighth view by name is held out, beginning with the first, as in INRIA 3DGS (`scene/dataset_readers.py`).
+    /// If the capture has its own split (`transforms_test.json`, else `transforms_val.json`; `test_filenames`,
+    /// `val_filenames`), that is used instead.
     #[default]
     Every8th,
 }
@@ -197,11 +202,11 @@ pub fn is_capture(folder: &Path) -> bool {
     colmap::find_model(folder).is_some() || !transforms::find(folder).files.is_empty()
 }
 
-/// A checksum of the files in which the capture at `folder` has its cameras, and of the sizes of its photographs (those in the folder `images`, see
-/// [`LoadOptions::images`]), masks and points, by which it is told from others; `None` if there are none.
+/// Checksum that identifies a capture: of the files with its cameras, and of the sizes of its photographs (in the
+/// folder `images`, see [`LoadOptions::images`]), masks and points; `None` if there are no such files.
 ///
 /// # Errors
-/// If one of the former cannot be read.
+/// If a file with cameras cannot be read.
 pub fn fingerprint(folder: &Path, images: Option<&str>) -> Result<Option<u32>, CaptureError> {
     let files = match colmap::find_model(folder) {
         Some(model) => ["cameras", "images"].map(|stem| colmap::file_of(&model, stem)).to_vec(),
@@ -212,7 +217,7 @@ pub fn fingerprint(folder: &Path, images: Option<&str>) -> Result<Option<u32>, C
         sum.update(&error::read(file)?);
     }
     let mut beside = vec![];
-    // What is wrong with it is told where it is opened.
+    // Faults of the capture are reported when it is opened.
     let options = LoadOptions { without_points: true, images: images.map(str::to_owned), ..LoadOptions::default() };
     if let Ok((listed, _)) = listed(folder, folder, &options) {
         beside.extend(listed.points_files);
@@ -230,18 +235,20 @@ pub fn fingerprint(folder: &Path, images: Option<&str>) -> Result<Option<u32>, C
     Ok((!files.is_empty()).then(|| sum.sum()))
 }
 
-/// Distance of neighbouring coordinates as a part of a scene's size, at most: a quarter of a pixel of pictures of a thousand.
+/// Coarsest acceptable spacing of f32 coordinates, relative to the scene's size: a quarter of a pixel in pictures of a
+/// thousand.
 const COARSEST: f64 = 2.5e-4;
 
 /// Reads the capture at `path`, a folder or a `transforms*.json`.
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
 /// `colmap/sparse/0` or the folder itself, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
-/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic), or else `transforms_val.json`, or one of them, which is no split. Points of a `transforms.json` are those of its
-/// `ply_file_path` (nerfstudio), if it has one, without a word on who sees them.
+/// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic), or else with `transforms_val.json`, or one of
+/// these alone, without a split. Points of a `transforms.json` are those of its `ply_file_path` (nerfstudio), if it has
+/// one, without visibility.
 ///
-/// Image files may be larger or smaller than their camera says (`images_4`) if the aspect ratio agrees within 1 %;
-/// the intrinsics follow the file.
+/// Image files may be larger or smaller than their camera states (`images_4`) if the aspect ratio agrees within 1 %;
+/// the intrinsics are scaled to the file.
 ///
 /// # Errors
 /// If a file is missing, truncated or malformed, masks are labels of several things or all black, a camera model cannot be undistorted, a pose is
@@ -264,15 +271,15 @@ pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError>
     Ok(Capture { name, views, points, points_files, passed_over })
 }
 
-/// What lists the views of a capture.
+/// Lists of a capture's views.
 enum Lists {
     /// The COLMAP model in this folder.
     Colmap(PathBuf),
-    /// These files, at least one, each with its part in the split if there are two.
+    /// These files, at least one, each with its part in the split if there are two (`true`: held out).
     Transforms(Vec<(PathBuf, Option<bool>)>),
 }
 
-/// What the list of the capture at `path` says, in the folder `root`, and what is passed over for it.
+/// Reads the list of the capture at `path`, in the folder `root`; also returns the lists that were ignored.
 fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Vec<PathBuf>), CaptureError> {
     let (lists, passed_over) = lists(path, root)?;
     let listed = match lists {
@@ -282,7 +289,8 @@ fn listed(path: &Path, root: &Path, options: &LoadOptions) -> Result<(Listed, Ve
     Ok((listed, passed_over))
 }
 
-/// Finds what lists the views of the capture at `path`, a file or the folder `root`, and what else in that does, which is passed over for it.
+/// Finds the lists of the capture at `path`, a file or the folder `root`, and the other lists in that folder, which are
+/// ignored.
 fn lists(path: &Path, root: &Path) -> Result<(Lists, Vec<PathBuf>), CaptureError> {
     if path != root {
         return Ok((Lists::Transforms(vec![(path.into(), None)]), vec![]));
@@ -304,8 +312,8 @@ fn lists(path: &Path, root: &Path) -> Result<(Lists, Vec<PathBuf>), CaptureError
     Ok((Lists::Transforms(found.files), found.passed_over))
 }
 
-/// Error if the scene is so far from the origin of its coordinates, as models in those of the earth are, that 32-bit floats, which it is
-/// made of, are too coarse for it.
+/// Rejects scenes so far from the origin, such as models in geographic coordinates, that 32-bit floats are too coarse
+/// for them.
 fn near_origin(views: &[View], points: &[Point], list: &Path) -> Result<(), CaptureError> {
     let centers: Vec<_> = views.iter().map(|view| view.camera.center()).collect();
     let distance = centers.iter().map(|center| center.abs().max_element()).fold(0.0, f64::max);
@@ -321,8 +329,8 @@ fn near_origin(views: &[View], points: &[Point], list: &Path) -> Result<(), Capt
     Err(CaptureError::invalid(list, "camera positions", expected, found))
 }
 
-/// Size of the scene as INRIA 3DGS means it (`scene/dataset_readers.py`): 1.1 × the largest distance of a camera from the mean
-/// of all camera centres, in world units. 0 without cameras, or where all are at one place.
+/// Extent of the cameras, the scene's size in INRIA 3DGS (`scene/dataset_readers.py`): 1.1 × the largest distance of a
+/// camera from the mean of all camera centres, in world units. 0 without cameras, or if all are at one place.
 #[must_use]
 pub fn extent<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> f64 {
     let (mean, farthest) = center_and_spread(cameras);

@@ -1,4 +1,4 @@
-//! `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes.
+//! Reader of `transforms*.json` of nerfstudio, instant-ngp and NeRF-synthetic: camera→world poses in OpenGL axes.
 
 use std::collections::HashSet;
 use std::f64::consts::PI;
@@ -19,7 +19,8 @@ use crate::{
     scene::{Intrinsics, frame::OPENGL_FROM_OPENCV, nearest_rotation},
 };
 
-/// One file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera sees.
+/// A `transforms*.json` file. Fields not named here (`aabb_scale`, `applied_transform`, …) do not change what a camera
+/// sees.
 #[derive(Deserialize)]
 struct Transforms {
     #[serde(flatten)]
@@ -29,9 +30,9 @@ struct Transforms {
     test_filenames: Option<Vec<String>>,
     val_filenames: Option<Vec<String>>,
     fps: Option<f64>,
-    /// What `centaur cameras` says besides.
+    /// Additional fields written by `centaur cameras`.
     centaur: Option<Ours>,
-    /// Points, in the world of the poses (nerfstudio's `ns-process-data`).
+    /// PLY file of points, in the world of the poses (nerfstudio's `ns-process-data`).
     ply_file_path: Option<String>,
 }
 
@@ -44,11 +45,11 @@ struct Ours {
 struct FrameFields {
     #[serde(flatten)]
     lens: LensFields,
-    /// May be absent where no photograph is needed.
+    /// Image file; may be absent if no photograph is needed.
     #[serde(default)]
     file_path: String,
     mask_path: Option<String>,
-    /// The same, as VHAP calls it for heads.
+    /// Mask file, as named by VHAP for heads.
     fg_mask_path: Option<String>,
     time: Option<Value>,
     timestep_index: Option<Value>,
@@ -63,7 +64,7 @@ struct LensFields {
     ftheta_p0: Option<IgnoredAny>,
     latlong: Option<bool>,
     equirectangular: Option<bool>,
-    /// Degrees, as nothing else.
+    /// Field of view in degrees, unlike the angles below.
     x_fov: Option<f64>,
     y_fov: Option<f64>,
     camera_angle_x: Option<f64>,
@@ -82,32 +83,32 @@ struct LensFields {
     k6: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
-    /// k1 to k4, p1 and p2, which then do not count (nerfstudio).
+    /// Distortion k1 to k4, p1 and p2, which replace the separate fields (nerfstudio).
     distortion_params: Option<Vec<f64>>,
 }
 
-/// As it is, or in words.
+/// A number, given as such or as text.
 fn number(value: &Option<Value>) -> Option<f64> {
     let value = value.as_ref()?;
     value.as_f64().or_else(|| value.as_str()?.trim().parse().ok())
 }
 
-/// The files of a folder.
+/// The `transforms*.json` files of a folder.
 pub(super) struct Found {
-    /// Those that are its capture, each with its part in the split if there are two.
+    /// Files of the capture, each with its part in the split if there are two.
     pub(super) files: Vec<(PathBuf, Option<bool>)>,
-    /// Those of a split, beside one of all frames.
+    /// Files of a split that are ignored in favour of one with all frames.
     pub(super) passed_over: Vec<PathBuf>,
 }
 
 impl Found {
-    /// All of them, where something else comes first.
+    /// All files, for when another list takes precedence.
     pub(super) fn all(self) -> Vec<PathBuf> {
         self.files.into_iter().map(|(file, _)| file).chain(self.passed_over).collect()
     }
 }
 
-/// Finds them.
+/// Finds the `transforms*.json` files of a folder.
 pub(super) fn find(folder: &Path) -> Found {
     let of_split = ["transforms_train.json", "transforms_test.json"].map(|name| folder.join(name));
     let one = folder.join("transforms.json");
@@ -116,7 +117,7 @@ pub(super) fn find(folder: &Path) -> Found {
         return Found { files: vec![(one, None)], passed_over };
     }
     let [train, test] = of_split;
-    // The split of what has no other.
+    // Validation views are the test split if there is no other.
     let validation = folder.join("transforms_val.json");
     let test = if !test.is_file() && validation.is_file() { validation } else { test };
     let of_split = [train, test];
@@ -125,18 +126,18 @@ pub(super) fn find(folder: &Path) -> Found {
     Found { files: parts.map(|(file, held_out)| (file, has_both.then_some(held_out))).collect(), passed_over: vec![] }
 }
 
-/// What one file's text says.
+/// Content of one file.
 pub(super) struct Parsed {
     pub(super) frames: Vec<Frame>,
-    /// How many frames there are a second, if they are a path.
+    /// Frames per second, if the frames are a path.
     pub(super) fps: Option<f64>,
     /// See [`super::Cameras::y_up`].
     pub(super) y_up: bool,
-    /// The PLY with its points.
+    /// PLY file of the points.
     points: Option<PathBuf>,
 }
 
-/// The frames and the points of all `files`, at least one, whose paths are relative to `root`.
+/// Frames and points of all `files`, at least one, whose paths are relative to `root`.
 pub(super) fn load(
     root: &Path,
     files: &[(PathBuf, Option<bool>)],
@@ -148,7 +149,7 @@ pub(super) fn load(
         frames.extend(parsed.frames.into_iter().map(|frame| if parsed.y_up { frame.turned() } else { frame }));
         clouds.extend(parsed.points.map(|cloud| (cloud, parsed.y_up)));
     }
-    // Files of one capture may name the same.
+    // Files of one capture may name the same points.
     clouds.dedup();
     let mut points = vec![];
     for (cloud, y_up) in clouds.iter().filter(|_| !options.without_points) {
@@ -159,16 +160,17 @@ pub(super) fn load(
     Ok(Listed { frames, list, points, points_files: clouds.into_iter().map(|(cloud, _)| cloud).collect() })
 }
 
-/// `./train//r_0` is `train/r_0`, and so is `.\train\r_0`, as programs write it on Windows.
+/// Normalises a relative path: `./train//r_0` becomes `train/r_0`, and so does `.\train\r_0`, as written by programs on
+/// Windows.
 fn plain(name: &str) -> String {
     let is_separator = |c: char| matches!(c, '/' | '\\');
     let parts: Vec<&str> = name.split(is_separator).filter(|part| !matches!(*part, "" | ".")).collect();
-    // What begins at the root still does, and is refused for it.
+    // An absolute path remains absolute, and is refused as such.
     let root = if name.starts_with(is_separator) { "/" } else { "" };
     format!("{root}{}", parts.join("/"))
 }
 
-/// Without `photographs`, names need not be those of files in the capture.
+/// Parses one file. Without `photographs`, names need not be those of files in the capture.
 pub(super) fn parse(
     text: &str,
     path: &Path,
@@ -183,7 +185,8 @@ pub(super) fn parse(
     let trained = plain_all(&file.train_filenames);
     let tested = &plain_all(&file.test_filenames) | &plain_all(&file.val_filenames);
     let own_split = file.train_filenames.is_some() || !tested.is_empty();
-    // Of neither list where there is one of what to train on: left out, as by nerfstudio, which also refuses names of no frame.
+    // Frames in neither list, if there is a list of training frames, are left out as by nerfstudio, which also refuses
+    // names of no frame.
     let is_listed =
         |name: &str| !photographs || file.train_filenames.is_none() || trained.contains(name) || tested.contains(name);
     let names: HashSet<String> = file.frames.iter().map(|frame| plain(&frame.file_path)).collect();
@@ -202,7 +205,7 @@ pub(super) fn parse(
             let (image, whole) = match (inside(path, &format!("{at}/file_path"), &name), photographs) {
                 (Ok(name), _) => (find_image(root, name, options.images.as_deref()), find_image(root, name, None)),
                 (Err(e), true) => return Err(e),
-                // The name is only a name.
+                // Without photographs the name is only a label.
                 (Err(_), false) => (PathBuf::new(), PathBuf::new()),
             };
             let masks = [("mask_path", &fields.mask_path), ("fg_mask_path", &fields.fg_mask_path)];
@@ -211,7 +214,7 @@ pub(super) fn parse(
             let mask = match named {
                 Some((field, mask)) if photographs => match inside(path, &format!("{at}/{field}"), &plain(mask)) {
                     Ok(inner) => Some(root.join(inner)),
-                    // Nobody looks for it.
+                    // Masks are not wanted.
                     Err(_) if !options.masks => None,
                     Err(e) => return Err(e),
                 },
@@ -240,7 +243,7 @@ pub(super) fn parse(
         .collect::<Result<Vec<Frame>, CaptureError>>()?;
     if let (Some(folder), true) = (&options.images, photographs) {
         let is_in = |frame: &Frame, folder: &str| Path::new(&frame.name).starts_with(folder);
-        // Those of another folder would be as large as they are, beside smaller ones.
+        // Photographs of other folders would keep their size, beside smaller ones.
         if let Some(other) = frames.iter().find(|frame| !(is_in(frame, "images") || is_in(frame, folder))) {
             let expected = "a path that begins with images/, for another folder to take its place";
             return Err(CaptureError::invalid(path, format!("{}/file_path", other.at), expected, &other.name));
@@ -249,7 +252,7 @@ pub(super) fn parse(
     let points = match &file.ply_file_path {
         Some(name) if photographs => match inside(path, "/ply_file_path", &plain(name)) {
             Ok(inner) => Some(root.join(inner)),
-            // Nobody looks for them.
+            // Points are not wanted.
             Err(_) if options.without_points => None,
             Err(e) => return Err(e),
         },
@@ -258,7 +261,7 @@ pub(super) fn parse(
     Ok(Parsed { frames, fps: file.fps, y_up: file.centaur.and_then(|ours| ours.y_up).unwrap_or_default(), points })
 }
 
-/// The file of an image: another folder for `images` if asked for, a suffix if the name has none.
+/// File of an image: with `images` replaced by the given folder, and a suffix added if the name has none.
 fn find_image(root: &Path, name: &Path, images: Option<&str>) -> PathBuf {
     let path = match (images, name.strip_prefix("images")) {
         (Some(folder), Ok(rest)) => root.join(folder).join(rest),
@@ -267,7 +270,7 @@ fn find_image(root: &Path, name: &Path, images: Option<&str>) -> PathBuf {
     if path.is_file() {
         return path;
     }
-    // Appended, not exchanged: a name like `frame.001` has no suffix.
+    // Appended, not replaced: a name like `frame.001` has no suffix.
     let candidates = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"].map(|suffix| {
         let mut with_suffix = path.clone().into_os_string();
         with_suffix.push(format!(".{suffix}"));
@@ -276,16 +279,16 @@ fn find_image(root: &Path, name: &Path, images: Option<&str>) -> PathBuf {
     candidates.into_iter().find(|p| p.is_file()).unwrap_or(path)
 }
 
-/// Inverts a camera→world matrix in OpenGL axes (x right, y up, z back).
+/// World→camera pose from a camera→world matrix in OpenGL axes (x right, y up, z back).
 pub(super) fn world_to_camera(rows: &[[f64; 4]]) -> Option<(DMat3, DVec3)> {
     let [a, b, c, ..] = rows else { return None };
     let column = |i: usize| DVec3::new(a[i], b[i], c[i]);
     let rotation = DMat3::from_cols(column(0), -column(1), -column(2)).transpose();
-    // The centre is where the matrix says, also where its axes are rounded.
+    // The centre is exactly as the matrix states, even if its axes are rounded.
     Some((rotation, -(nearest_rotation(rotation) * column(3))))
 }
 
-/// Focal lengths of pictures of this size, (width, height), both in pixels, that a file or a frame gives, if it gives any.
+/// Focal lengths, in pixels, that a file or a frame states for pictures of this size (width, height), if any.
 fn focal_lengths(
     fields: &LensFields,
     (w, h): (f64, f64),
@@ -308,8 +311,8 @@ fn focal_lengths(
     Ok(x.or(y).zip(y.or(x)))
 }
 
-/// The lens of a frame, with the file's values where the frame has none of its own: for its image `whole`, in place of which a smaller one
-/// may be asked for.
+/// Lens of a frame, with the file's values where the frame has none of its own, for its image `whole`, instead of which
+/// a smaller one may be used.
 fn lens(
     frame: &LensFields,
     file: &LensFields,
@@ -319,12 +322,12 @@ fn lens(
 ) -> Result<Lens, CaptureError> {
     let value = |field: fn(&LensFields) -> Option<f64>| field(frame).or_else(|| field(file));
     let (width, height) = match (value(|l| l.w), value(|l| l.h)) {
-        // A float cast saturates; sizes that are no sizes fail the aspect check against the image.
+        // A float cast saturates; invalid sizes fail the aspect check against the image.
         (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
-        // Missing images are reported all at once, later: any size will do.
+        // Missing images are reported together later, so any size will do here.
         _ if !image.is_file() => (1, 1),
         _ if whole.is_file() => images::header(whole)?.stored().1,
-        // Angles are of any size, lengths in pixels of that of the whole image alone.
+        // Angles apply to any size, but lengths in pixels only to that of the whole image.
         _ if value(|l| l.fl_x).or(value(|l| l.fl_y)).or(value(|l| l.cx)).or(value(|l| l.cy)).is_some() => {
             let expected = "w and h beside fl_x, as the photographs that these are of are not there";
             return Err(CaptureError::invalid(path, at, expected, "neither"));
@@ -332,7 +335,7 @@ fn lens(
         _ => images::header(image)?.stored().1,
     };
     let (w, h) = (f64::from(width), f64::from(height));
-    // What a frame says of one axis says it of both, as in instant-ngp.
+    // A frame's value for one axis applies to both, as in instant-ngp.
     let (fx, fy) = match focal_lengths(frame, (w, h), path, at)? {
         None => focal_lengths(file, (w, h), path, at)?,
         own => own,
@@ -367,7 +370,7 @@ fn lens(
     if frame.equirectangular.or(file.equirectangular).unwrap_or(false) {
         return unsupported("equirectangular");
     }
-    // A frame's own model says more than what the file says of all.
+    // A frame's own model has precedence over the file's flag.
     let of_file = file.is_fisheye.filter(|_| frame.camera_model.is_none());
     let fisheye = frame.is_fisheye.or(of_file).unwrap_or(false);
     let distortion = match model {
@@ -379,7 +382,7 @@ fn lens(
                 let expected = format!("no is_fisheye beside camera_model {model}");
                 return Err(CaptureError::invalid(path, at, expected, "true"));
             }
-            // OpenCV divides by these; others multiply r⁸ by k4.
+            // OpenCV divides by the terms of these coefficients, while other programs multiply r⁸ by k4.
             if model != Some("FULL_OPENCV") {
                 let unclear = [("k4", k4), ("k5", k5), ("k6", k6)].into_iter().find(|(_, k)| *k != 0.0);
                 if let Some((name, value)) = unclear {

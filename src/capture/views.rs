@@ -1,5 +1,4 @@
-//! From what the files of a capture say to views: names, images, masks, sizes and poses are checked here once for
-//! all formats.
+//! Views: names, images, masks, sizes and poses from a capture's files are checked here once for all formats.
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -15,22 +14,22 @@ use crate::scene::{Camera, frame};
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
     pub(super) name: String,
-    /// The file that lists it.
+    /// File that lists the frame.
     pub(super) list: Arc<Path>,
-    /// Where it stands there: `line 7`, `byte 120`, `/frames/3`.
+    /// Position in that file: `line 7`, `byte 120`, `/frames/3`.
     pub(super) at: String,
     pub(super) image: PathBuf,
-    /// A mask that the files name.
+    /// Mask named by the files.
     pub(super) mask: Option<PathBuf>,
-    /// At the size the files declare.
+    /// Lens at the size that the files declare.
     pub(super) lens: Lens,
-    /// Whether they do; else the image does, or nothing.
+    /// Whether the files declare a size; else that of the image applies, if there is one.
     pub(super) has_size: bool,
-    /// World→camera.
+    /// World→camera rotation.
     pub(super) rotation: DMat3,
-    /// World→camera.
+    /// World→camera translation.
     pub(super) translation: DVec3,
-    /// The capture's own split, if it has one.
+    /// Part in the capture's own split, if it has one.
     pub(super) held_out: Option<bool>,
     /// See [`ImageSource::time`].
     pub(super) time: Option<f64>,
@@ -39,18 +38,18 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// The same in the world after half a turn about x.
+    /// The frame in the world after half a turn about x.
     pub(super) fn turned(self) -> Self {
         Self { rotation: frame::in_turned_world(self.rotation), ..self }
     }
 
-    /// Where it stands, with its name.
+    /// Position in the list, with the image's name.
     pub(super) fn place(&self) -> String {
         format!("{}, image {}", self.at, self.name)
     }
 }
 
-/// `name` as a path, if it stays inside the folder it is joined to. `list` is the file that holds the name, at `at`.
+/// `name` as a path, if it stays inside the folder it is joined to. `list` is the file that contains the name, at `at`.
 pub(super) fn inside<'a>(list: &Path, at: &str, name: &'a str) -> Result<&'a Path, CaptureError> {
     let path = Path::new(name);
     let inner = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
@@ -60,7 +59,7 @@ pub(super) fn inside<'a>(list: &Path, at: &str, name: &'a str) -> Result<&'a Pat
     Err(CaptureError::invalid(list, at, "a path inside the capture", format!("{name:?}")))
 }
 
-/// Checks frames and turns them into views sorted by name. `list` is the file that the capture is named by where there are none.
+/// Checks frames and turns them into views sorted by name. `list` is named in the error if there are too few frames.
 pub(super) fn assemble(
     mut frames: Vec<Frame>,
     list: &Path,
@@ -93,7 +92,7 @@ pub(super) fn assemble(
                 }
             }
         }
-        // Those that files name, which need not be in that folder.
+        // Masks named by files, which need not be in that folder.
         let masks = || frames.iter().filter_map(|f| f.mask.as_deref());
         all_exist(root, "masks", masks().map(|mask| (mask.strip_prefix(root).unwrap_or(mask), mask.is_file())))?;
         if masks().next().is_some() || folder.is_dir() {
@@ -105,7 +104,7 @@ pub(super) fn assemble(
     frames.into_par_iter().map(|frame| view(frame, options)).collect()
 }
 
-/// Error unless everything exists.
+/// Checks that all files exist.
 fn all_exist<'a>(
     folder: &Path,
     what: &'static str,
@@ -127,7 +126,8 @@ fn all_exist<'a>(
     }
 }
 
-/// The mask of an image by COLMAP's rule (`<name>.png`), or with another or the same suffix, if it has one: `frame.001` has none.
+/// Mask of an image by COLMAP's rule (`<name>.png`), or with its suffix replaced by `.png` if it has one (`frame.001`
+/// has none), or with the same name.
 pub(super) fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
     let name = name.strip_prefix("images/").unwrap_or(name);
     let path = folder.join(name);
@@ -135,15 +135,15 @@ pub(super) fn find_mask(folder: &Path, name: &str) -> Option<PathBuf> {
     [Some(folder.join(format!("{name}.png"))), other, Some(path)].into_iter().flatten().find(|path| path.is_file())
 }
 
-/// Looks at the image's header and settles size, orientation and camera.
+/// Reads the image's header and determines size, orientation and camera.
 pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureError> {
     let place = frame.place();
     let Frame { name, list, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, time, sees } =
         frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
     let header = images::header(&image)?;
-    // COLMAP, nerfstudio and instant-ngp read pictures as they are stored, so that poses are of those, whatever EXIF says; of pictures that
-    // were turned before, by a program that left the note, only the upright one fits.
+    // COLMAP, nerfstudio and instant-ngp read pictures as stored, so poses refer to those, whatever EXIF says; for
+    // pictures that were rotated before by a program that left the note, only the upright one fits.
     let ways = [header.stored(), header.upright()];
     let (orientation, (width, height)) = images::fitting(ways, declared).ok_or_else(|| {
         let (_, (w, h)) = header.stored();

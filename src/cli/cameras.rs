@@ -249,12 +249,12 @@ impl FileArgs {
         Ok(views)
     }
 
-    /// Refuses to write cameras alone over a scene: what was trained for hours has the name that a path of it might get.
+    /// Rejects writing cameras alone over a scene: a path might get the name of a scene that took hours to train.
     fn spare_scene(&self) -> Result<()> {
         let can_be_one = gltf::is_named(&self.output) || has_extension(&self.output, &["usda"]);
-        // What cannot be read is none.
+        // Unreadable files are no scenes.
         let there = Some(&self.output).filter(|file| can_be_one && file.is_file()).and_then(|file| inspect(file).ok());
-        // Meshes of the document also where they cannot be read as a scene.
+        // Meshes of the document count even if they cannot be read as a scene.
         let has_meshes = |there: &Summary| {
             let counted = there.document.as_ref().and_then(|document| document.counts.get("meshes"));
             there.splats.is_some() || !there.meshes.is_empty() || counted.is_some_and(|count| *count > 0)
@@ -265,7 +265,7 @@ impl FileArgs {
         Ok(())
     }
 
-    /// `make` is given the cameras of the source, and where notes go.
+    /// Generates a path; `make` gets the cameras of the source, and the list of notes.
     fn generate(
         &self,
         shot: &ShotArgs,
@@ -313,7 +313,7 @@ impl FileArgs {
         let begins = times.first().copied().unwrap_or_default();
         let has_times = is_gltf || has_extension(&self.output, &["usda"]);
         if begins != 0.0 && !(has_times && begins > 0.0) {
-            // The first frame of Blender is at a twenty-fourth: 17 digits of it tell nobody anything.
+            // Blender's first frame is at a twenty-fourth of a second: rounded, because 17 digits are useless.
             let begins = (1e3 * begins).round() / 1e3;
             notes.push(format!(
                 "begins at {begins} s, which {} does not say: there it begins at 0",

@@ -84,27 +84,27 @@ pub(super) struct Args {
     messages: MessageArgs,
 }
 
-/// One input, as it is reported.
+/// Input as reported.
 #[derive(Serialize)]
 struct Input {
     file: PathBuf,
     splats: usize,
     meshes: usize,
-    /// Splats left out because they are invalid.
+    /// Number of splats left out as invalid.
     dropped: usize,
     notes: Vec<String>,
-    /// Whether invalid splats can be left out of it.
+    /// Whether invalid splats can be left out of this format.
     #[serde(skip)]
     can_drop: bool,
-    /// Whether it says how it was trained.
+    /// Whether the file has a record of its training.
     #[serde(skip)]
     has_record: bool,
-    /// Whether it says how splats and meshes are blended.
+    /// Whether the file states how splats and meshes are blended.
     #[serde(skip)]
     states_composition: bool,
 }
 
-/// What was done, for scripts.
+/// Result of the conversion, for scripts.
 #[derive(Serialize)]
 struct Outcome<'a> {
     output: &'a Path,
@@ -121,7 +121,7 @@ struct Outcome<'a> {
     notes: &'a [String],
 }
 
-/// What is read, and what is written.
+/// Input and output files.
 #[derive(Clone, Copy)]
 struct Files<'a> {
     inputs: &'a [PathBuf],
@@ -129,7 +129,7 @@ struct Files<'a> {
 }
 
 impl Args {
-    /// Where no option names the output, the last file is it.
+    /// Input and output files; if no option names the output, it is the last file.
     fn files(&self) -> Result<Files<'_>> {
         if let Some(output) = &self.output {
             return Ok(Files { inputs: &self.files, output });
@@ -137,7 +137,7 @@ impl Args {
         match self.files.split_last() {
             Some((output, inputs)) if !inputs.is_empty() => {
                 writable(output.clone()).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
-                // As shells make it of `*.ply`: the last of the files is one of them, and would be lost.
+                // Shells may expand `*.ply` so that the last file is an input, which would be overwritten.
                 let is_new = inputs.len() == 1 || !output.is_file();
                 ensure!(is_new, "{}: is there already: -o {} replaces it", output.display(), output.display());
                 Ok(Files { inputs, output })
@@ -173,13 +173,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let has_own_near = scene.scene.composition.near != usual_near;
     let mut edited = args.edits.apply(scene)?;
     if !has_own_near && format::has_extension(files.output, format::SPLATS_ALONE) {
-        // Whoever reads these takes the usual one in whatever unit: the scene has none of its own to lose by being scaled.
+        // Readers of these formats take the default near plane, in whatever unit: scaling loses no near plane of the
+        // scene's own.
         edited.scene.composition.near = usual_near;
     }
     if edited.scene.splats.is_empty() && edited.scene.meshes.is_empty() {
         let why = match inputs.iter().find_map(|input| Some((&input.file, input.notes.first()?))) {
             _ if !edited.steps.is_empty() => " after removing".to_owned(),
-            // Notes are told beside what is written, which is nothing.
+            // Notes are otherwise reported with the output, which does not exist here.
             Some((file, note)) => format!(": {}: {note}", file.display()),
             None => String::new(),
         };
@@ -187,7 +188,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     if edited.source.as_ref().is_some_and(|s| gltf::is_named(files.output) && s.stands(&edited.scene, &edited.cameras))
     {
-        // A document that is written again is taken over exactly, whatever a scene can hold of it.
+        // A document that is written again is preserved exactly, regardless of what a scene can hold.
         inputs.iter_mut().for_each(|input| input.notes.clear());
     }
     if args.strict
@@ -199,7 +200,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     bar.set_message(format!("writing {}", one_line(&files.output.display().to_string())));
     let replaced = replaced(args, files);
     let mut report = write(args, files, &edited)?;
-    // That of one input is not that of all.
+    // The record of one input is not that of the joined scene.
     report.loss.record |= edited.record.is_none() && inputs.iter().any(|input| input.has_record);
     report.notes.extend(idle(args, &inputs).into_iter().chain(replaced));
     report.notes.extend(larger(files, &edited, report.bytes));
@@ -228,7 +229,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::print(&described(&outcome))
 }
 
-/// All inputs as one scene in the frame of captures, and what is to be said about them.
+/// Reads all inputs as one scene in the capture's frame, with notes.
 fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
     let one = files.len() == 1;
     let options = ReadOptions {
@@ -326,10 +327,10 @@ fn idle(args: &Args, inputs: &[Input]) -> Option<String> {
     })
 }
 
-/// What an input says of how it is shown that does not hold where it is joined with others.
+/// Note on properties of an input's display that do not apply to the joined scene.
 fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<String> {
     let order = |c: &Composition| (c.mode, c.lambda);
-    // Most formats say nothing of what is behind a scene, and are read as the default.
+    // Most formats do not state the background, and are read with the default.
     let states_background = input.states_composition || own.background != Composition::default().background;
     let parts = [
         ("pixel filter", input.splats > 0 && own.pixel_filter != of_all.pixel_filter),
@@ -341,7 +342,7 @@ fn overruled(input: &Input, own: &Composition, of_all: &Composition) -> Option<S
     (!named.is_empty()).then(|| named.join(" and "))
 }
 
-/// The attributes that all inputs with splats have, one after the other; of the others a note is made.
+/// Joins the attributes that all inputs with splats have, in sequence; notes the others.
 fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> {
     let has_none = inputs.iter().all(|input| input.splats == 0);
     let of_all = of_inputs.iter().zip(inputs.iter());
@@ -367,7 +368,7 @@ fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> 
     all
 }
 
-/// Writes beside the output first: what is lost is known only then, and may be refused.
+/// Writes to a staging folder first: only then is the loss known, and may be rejected.
 fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> Result<WriteReport> {
     let named = || format!("{}: cannot write", output.display());
     let place = atomic::place_of(output).with_context(named)?;
@@ -400,7 +401,7 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         bail!("{}: expected splats for a .{extension}, found meshes alone", output.display());
     }
     if args.strict && !report.loss.is_rounding() {
-        // It may lose the record of the training.
+        // Losing the record of the training is acceptable.
         let loss = Loss { record: false, ..report.loss };
         bail!("{}: --strict: a .{extension} would lose {loss}", output.display());
     }

@@ -32,7 +32,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::print(&adapters.iter().map(describe).collect::<Vec<_>>().join("\n"))
 }
 
-/// Three lines: how to ask for it, then what decides speed and size.
+/// Description in three lines: how to request the adapter, then what determines speed and capacity.
 fn describe(a: &AdapterSummary) -> String {
     let subgroups = match a.subgroup_size {
         (_, 0) => "no subgroups".to_owned(),

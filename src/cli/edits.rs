@@ -1,4 +1,4 @@
-//! What `convert` does to a scene between reading and writing: options, and the one order in which they are applied.
+//! Edits by `convert` between reading and writing: options, and the fixed order in which they are applied.
 
 use anyhow::{Context as _, Result};
 use centaur::edit::{self, Axes, Crop, Similarity, Volume};
@@ -63,14 +63,14 @@ pub(super) struct EditArgs {
     morton: bool,
 }
 
-/// How much is left by one step, for the record.
+/// Effect of one edit step, for the record.
 #[derive(Debug, Serialize)]
 pub(super) struct Step {
-    /// The option.
+    /// Option of the step.
     pub(super) step: &'static str,
-    /// Splats that it removed.
+    /// Number of splats removed.
     pub(super) removed_splats: usize,
-    /// Triangles that it removed.
+    /// Number of triangles removed.
     pub(super) removed_triangles: usize,
 }
 
@@ -80,21 +80,21 @@ enum Amount {
     Share(f64),
 }
 
-/// A scene on its way from input to output.
+/// Scene between input and output.
 pub(super) struct Edited {
     pub(super) scene: HybridScene,
     pub(super) cameras: Vec<(String, Camera)>,
-    /// What else is known of every splat.
+    /// Further per-splat attributes.
     pub(super) attributes: Vec<Attribute>,
-    /// The glTF document that it comes from.
+    /// glTF document from which the scene was read.
     pub(super) source: Option<Source>,
-    /// How it was trained, if it says so.
+    /// Record of the training, if there is one.
     pub(super) record: Option<serde_json::Value>,
     pub(super) steps: Vec<Step>,
 }
 
 impl EditArgs {
-    /// Applies what was asked for.
+    /// Applies the requested edits.
     pub(super) fn apply(&self, scene: Edited) -> Result<Edited> {
         let mut edited = scene.moved(&self.similarity()?)?;
         let crops: Vec<Crop> = (self.keep_box.iter().chain(&self.keep_sphere).map(|v| Crop::Inside(*v)))
@@ -163,7 +163,7 @@ impl Edited {
         Ok(Self { scene, cameras, source, ..self })
     }
 
-    /// The splats of these indices, with what else is known of them.
+    /// Selects the splats of these indices, with their attributes.
     fn gather(&mut self, indices: &[usize]) {
         let splats = std::mem::replace(&mut self.scene.splats, Splats::empty(0));
         self.scene.splats = scene::gather(splats, indices);

@@ -70,7 +70,7 @@ pub(super) struct LpipsArgs {
 }
 
 impl LpipsArgs {
-    /// Reads the weights, if there are any.
+    /// Reads the weights, if given.
     pub(super) fn open(&self) -> Result<Option<Lpips>> {
         Ok(self.lpips_weights.as_deref().map(Lpips::open).transpose()?)
     }
@@ -155,21 +155,22 @@ struct Noted<'a> {
     notes: &'a [String],
 }
 
-/// Where the scene has learnt from views that are scored.
+/// Note if the scene was trained on views that are scored.
 fn saw(training: &Record, trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
     let known: HashSet<&str> = trained_on.iter().map(|(name, _)| name.as_str()).collect();
     let scored = held_out(capture).unwrap_or_default();
     training.saw(&known, scored.iter().map(|view| view.name.as_str()))
 }
 
-/// Where the scene has cameras, but none of the capture's names: nothing tells then whether these are the views that it was trained on, nor where.
+/// Note if the scene has cameras, but none with a name of the capture: then nothing shows whether these are its
+/// training views, or where it is.
 fn other_names(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
     let known: HashSet<&str> = trained_on.iter().map(|(name, _)| name.as_str()).collect();
     let is_none = !known.is_empty() && !capture.views.iter().any(|view| known.contains(view.name.as_str()));
     is_none.then(|| "the scene knows none of the capture's views by name: it may be of other poses, or have seen those that are scored".to_owned())
 }
 
-/// Where pictures are of another size than those that the scene was trained on, if it says so.
+/// Note if images differ in size from those on which the scene was trained, if it states them.
 fn other_size(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
     let size = |camera: &Camera| (camera.intrinsics().width, camera.intrinsics().height);
     let pair = |view: &View| {
@@ -183,8 +184,8 @@ fn other_size(trained_on: &[(String, Camera)], capture: &Capture) -> Option<Stri
     ))
 }
 
-/// Where the scene has most cameras of the capture's names a tenth of how far these spread from where they are, or 10° from how they are turned:
-/// it was moved, or the capture has other poses. Poses that training has refined are nearer, as a rule.
+/// Note if most cameras of the scene with names of the capture are displaced by a tenth of the cameras' spread, or
+/// rotated by 10°: the scene was moved, or the capture has other poses. Poses refined by training are usually nearer.
 fn other_places(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
     let pairs: Vec<(&Camera, &Camera)> = (capture.views.iter())
         .filter_map(|view| Some((&view.camera, &trained_on.iter().find(|(name, _)| *name == view.name)?.1)))
@@ -201,26 +202,26 @@ fn other_places(trained_on: &[(String, Camera)], capture: &Capture) -> Option<St
     })
 }
 
-/// What `evaluate` is told besides scene and capture.
+/// Parameters of `evaluate` besides scene and capture.
 pub(super) struct Details<'a> {
-    /// The scene as written, for its size.
+    /// Written scene file, for its size.
     pub(super) scene_file: &'a Path,
-    /// Scores LPIPS, if wanted.
+    /// LPIPS network, if scores are wanted.
     pub(super) lpips: Option<&'a Lpips>,
-    /// Where report, metrics and pictures go, if anywhere.
+    /// Folder for report, metrics and images, if wanted.
     pub(super) folder: Option<&'a Path>,
-    /// Shown in the report.
+    /// Settings shown in the report.
     pub(super) settings: &'a [(String, String)],
-    /// What is known of the training: its time, and the curves of the report.
+    /// Record of the training: its time, and the curves of the report.
     pub(super) training: Option<&'a Record>,
-    /// Who is told how far it is.
+    /// Options of progress messages.
     pub(super) messages: &'a MessageArgs,
-    /// Set from outside to end after the current view.
+    /// Flag that, set from outside, ends evaluation after the current view.
     pub(super) stop: &'a AtomicBool,
 }
 
-/// Where pictures of the held-out views go in the folder of a report. None of the capture's photographs may be there, those that are trained
-/// on included: names of pictures are made anew.
+/// Paths of the held-out views' images in the folder of a report. None of the capture's photographs, including training
+/// views, may be there, because image names are generated anew.
 pub(super) fn report_pictures(folder: &Path, capture: &Capture) -> Result<Vec<PathBuf>> {
     let views = held_out(capture)?;
     let names = shared::picture_names(views.iter().map(|v| v.name.as_str()), "png");
@@ -229,11 +230,11 @@ pub(super) fn report_pictures(folder: &Path, capture: &Capture) -> Result<Vec<Pa
     Ok(pictures)
 }
 
-/// What tells of all views, in the folder of a report.
+/// Files about all views in the folder of a report.
 const REPORT: &str = "report.html";
 const METRICS: &str = "metrics.json";
 
-/// Says so if the folder of a report has pictures of an earlier one that this one does not replace.
+/// Note if the folder of a report has images of an earlier report that this one does not replace.
 pub(super) fn leftover(folder: &Path, capture: &Capture) -> Option<String> {
     let metrics: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.join(METRICS)).ok()?).ok()?;
     let before = metrics["views"].as_array()?.iter().filter_map(|view| view["name"].as_str());
@@ -248,7 +249,8 @@ pub(super) fn leftover(folder: &Path, capture: &Capture) -> Option<String> {
     })
 }
 
-/// Takes away what tells of all views: should this report stay without, that of an earlier one is none of its pictures.
+/// Removes the files about all views: if this report remains without them, those of an earlier one would not describe
+/// its images.
 fn clear(folder: &Path) -> Result<()> {
     for file in [REPORT, METRICS].map(|name| folder.join(name)) {
         match std::fs::remove_file(&file) {
@@ -261,7 +263,7 @@ fn clear(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Scores every held-out view; writes the folder of `details`. `None` if that was stopped: pictures that are already there stay.
+/// Scores every held-out view, and writes the folder of `details`. `None` if stopped: images already written stay.
 pub(super) fn evaluate(
     gpu: &Gpu,
     scene: &HybridScene,
@@ -319,7 +321,7 @@ pub(super) fn evaluate(
     Ok(Some(evaluation))
 }
 
-/// Of a view's picture in the report.
+/// Caption of a view's image in the report.
 fn caption(view: &ViewScore) -> String {
     let Scores { psnr, ssim_inria, flip, lpips, .. } = view.scores;
     let lpips = lpips.map_or_else(String::new, |l| {
@@ -329,7 +331,7 @@ fn caption(view: &ViewScore) -> String {
     format!("{}: {psnr:.2} dB, SSIM {ssim_inria:.4}, FLIP {flip:.4}{lpips}", view.name)
 }
 
-/// Writes an 8-bit PNG, whole or not at all.
+/// Writes an 8-bit PNG atomically.
 pub(super) fn write_png<P>(path: &Path, image: &ImageBuffer<P, Vec<u8>>) -> Result<()>
 where
     P: PixelWithColorType<Subpixel = u8>,

@@ -1,4 +1,4 @@
-//! How a scene was trained, kept in its file: for reports, at once and later.
+//! Training record, kept in the scene's file for immediate and later reports.
 
 use std::collections::HashSet;
 
@@ -8,54 +8,55 @@ use centaur::optimize::{Phase, Progress, TrainOptions, Trained};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-/// About as many points of the curves are kept: some kilobytes, and as many as a plot can show.
+/// Approximate number of curve points kept: some kilobytes, and as many as a plot can show.
 const MOST_POINTS: usize = 300;
 
-/// `asset.extras.centaur` of a scene that was trained here, in USD the string `centaur` of `customLayerData`. Older files end after the settings.
+/// Record in `asset.extras.centaur` of a scene trained here; in USD in the string `centaur` of `customLayerData`. Older
+/// files end after the settings.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Record {
     /// Name of the capture.
     capture: String,
-    /// Sparse points of it that training began with.
+    /// Number of sparse points of the capture with which training began.
     #[serde(default)]
     points: Option<usize>,
-    /// Whether its photographs had masks.
+    /// Whether the capture's photographs had masks.
     #[serde(default)]
     masks: Option<bool>,
-    /// Names of the views that were not trained on.
+    /// Names of the held-out views.
     #[serde(default)]
     held_out: Option<Vec<String>>,
-    /// `TrainOptions`, by their names.
+    /// `TrainOptions`, by field name.
     settings: Map<String, Value>,
-    /// Name of the adapter that trained.
+    /// Name of the adapter used for training.
     #[serde(default)]
     pub(super) adapter: Option<String>,
-    /// Mean wall time of a joint iteration.
+    /// Mean wall time of a joint iteration, in seconds.
     #[serde(default)]
     pub(super) seconds_per_iteration: Option<f64>,
-    /// Wall time of all phases and of what is between them.
+    /// Wall time of all phases and the steps between them, in seconds.
     #[serde(default)]
     pub(super) training_seconds: Option<f64>,
-    /// Most GPU memory that the training held at once.
+    /// Peak GPU memory of training, in bytes.
     #[serde(default)]
     pub(super) training_peak_gpu_bytes: Option<u64>,
-    /// In the order of training.
+    /// Curves of the phases, in training order.
     #[serde(default)]
     history: Vec<Curves>,
 }
 
-/// Reports of one phase, thinned; columns are as long as one another.
+/// Progress reports of one phase, thinned; columns have equal length.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 struct Curves {
     phase: Phase,
-    /// Iterations of the phase.
+    /// Number of iterations of the phase.
     of: u32,
-    /// The last of those that a point stands for.
+    /// Last iteration represented by each point.
     iteration: Vec<u32>,
-    /// Mean over these, to a millionth.
+    /// Mean loss over these iterations, to a millionth.
     loss: Vec<f64>,
     splats: Vec<usize>,
-    /// Mean of what was measured meanwhile, to a thousandth of a dB.
+    /// Mean of the PSNR measured in these iterations, to a thousandth of a dB.
     psnr: Vec<Option<f64>>,
 }
 
@@ -82,14 +83,14 @@ impl Record {
         })
     }
 
-    /// Of the extras of a file; none where these are something else.
+    /// Reads the record from the extras of a file; none if they are something else.
     pub(super) fn read(extras: &Value) -> Option<Self> {
         let mut record = Self::deserialize(extras).ok()?;
         record.adapter = record.adapter.map(|name| printable(&name));
         Some(record)
     }
 
-    /// Says so where it is of a capture of another name than this one.
+    /// Note if the record is of a capture with another name.
     pub(super) fn of_another(&self, capture: &Capture) -> Option<String> {
         (self.capture != capture.name).then(|| {
             let [before, now] = [&self.capture, &capture.name].map(|name| printable(name));
@@ -97,8 +98,8 @@ impl Record {
         })
     }
 
-    /// Says so where views that are scored were trained on, `known` being those of the capture as it was: none was held out, or others were,
-    /// since every eighth of another list is another.
+    /// Note if scored views were trained on, `known` being the views of the capture at that time: either none was held
+    /// out, or others were, because every eighth view of another list is another one.
     pub(super) fn saw<'a>(&self, known: &HashSet<&str>, scored: impl IntoIterator<Item = &'a str>) -> Option<String> {
         if self.settings.get("split").is_some_and(|split| split == "all") {
             return Some("the scene was trained on all views, those that are scored among them".to_owned());
@@ -114,18 +115,18 @@ impl Record {
         })
     }
 
-    /// Says so where masks were applied in one of training and scoring alone.
+    /// Note if masks were applied in training or scoring only.
     pub(super) fn other_masks(&self, capture: &Capture) -> Option<String> {
         let trained = self.masks.filter(|masks| *masks != capture.has_masks())?;
         let (then, now) = if trained { ("with masks", "without") } else { ("without masks", "with") };
         Some(format!("the scene was trained {then}, and is scored {now}"))
     }
 
-    /// Options as rows of a table.
+    /// Settings as rows of a table.
     pub(super) fn settings(&self) -> Vec<(String, String)> {
         let text = |name: &str, value: &Value| match value {
             Value::String(text) => text.clone(),
-            // It always has a number, and JSON has none for this one.
+            // λ always has a value, and JSON cannot represent infinity.
             Value::Null if name == "lambda" => "inf".to_owned(),
             Value::Null => "default".to_owned(),
             other => other.to_string(),
@@ -138,7 +139,7 @@ impl Record {
         settings.chain(of_capture.into_iter().flatten()).collect()
     }
 
-    /// The curves, one phase after the other. Splats rest, and are not seen, during the warm-up.
+    /// Training curves, phases in sequence. Splats are unchanged, and not drawn, during the warm-up.
     pub(super) fn plots(&self) -> Vec<Plot> {
         let (mut loss, mut psnr, mut splats, mut parts) = (vec![], vec![], vec![], vec![]);
         let mut before = 0.0;
@@ -157,7 +158,7 @@ impl Record {
             parts.push((before, what.to_owned()));
             before += f64::from(curves.of);
         }
-        // A run of one phase has no parts.
+        // A run of one phase has no named parts.
         parts = if parts.len() > 1 { parts } else { vec![] };
         [("loss", true, loss), ("held-out PSNR (dB)", false, psnr), ("splats", false, splats)]
             .into_iter()
@@ -170,12 +171,12 @@ impl Record {
     }
 }
 
-/// Options by their names. By way of text, where 0.01 is no longer than that in f32 either.
+/// Options by field name. Converted via text, in which an f32 such as 0.01 keeps its short form.
 pub(super) fn by_name(options: &TrainOptions) -> serde_json::Result<Map<String, Value>> {
     serde_json::from_str(&serde_json::to_string(options)?)
 }
 
-/// What may go to a terminal.
+/// Text that is safe for a terminal.
 fn printable(name: &str) -> String {
     name.chars().filter(|c| !c.is_control()).take(200).collect()
 }

@@ -1,4 +1,5 @@
-//! Ctrl-C and, on Unix, terminations and hangups: a command that can stops by itself, any other leaves no temporary files behind.
+//! Handling of Ctrl-C and, on Unix, terminations and hangups: commands that support it stop by themselves, all others
+//! leave no temporary files behind.
 
 use std::io::{self, IsTerminal as _, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,13 +13,14 @@ use super::output;
 
 /// Of a terminal that goes away, or a connection to it.
 const SIGHUP: i32 = 1;
-/// Of Ctrl-C, wherever there are signals.
+/// Signal of Ctrl-C, on any system with signals.
 const SIGINT: i32 = 2;
 
-/// The same signal so soon again is the same wish: `timeout` sends two, one to its child and one to the group that this is in.
+/// Interval within which a repeated signal counts as the same request: `timeout` sends two, one to its child and one to
+/// the child's group.
 const ONE_WISH: Duration = Duration::from_millis(300);
 
-/// How to ask a command that stops by itself.
+/// Stop request of a command that stops by itself.
 struct Stop {
     flag: Arc<AtomicBool>,
     /// By which signal it was asked first.
@@ -29,15 +31,15 @@ struct Stop {
 
 static STOP: Mutex<Option<Stop>> = Mutex::new(None);
 
-/// From here on a signal ends the program as it would any other, but for what [`atomic::abandon_all`] does before.
+/// Installs the handlers: from here on, a signal ends the program as usual, but after [`atomic::abandon_all`].
 pub(super) fn handle() -> Result<()> {
     #[cfg(windows)]
     ctrlc::set_handler(|| obey(SIGINT)).context("cannot handle Ctrl-C")?;
-    // By one thread: of two signals the first is the one that asks.
+    // Handled by one thread, so that of two signals the first is the request.
     #[cfg(unix)]
     {
         use signal_hook::{consts, consts::SIGTERM, iterator::Signals};
-        // Beyond `ulimit -f` to write is an error then, as on a full disk, and no end without a word.
+        // Writing beyond `ulimit -f` then gives an error, as on a full disk, instead of ending the program silently.
         signal_hook::flag::register(consts::SIGXFSZ, Arc::default()).context("cannot handle SIGXFSZ")?;
         let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle Ctrl-C")?;
         if !ignores_hangups() {
@@ -49,7 +51,8 @@ pub(super) fn handle() -> Result<()> {
     Ok(())
 }
 
-/// Whether `nohup` or a shell has hangups ignored, which then remains so: by Linux's word or, elsewhere, where no message goes to a terminal.
+/// Whether `nohup` or a shell has set hangups to be ignored, which is then kept: according to Linux or, elsewhere,
+/// assumed if no message goes to a terminal.
 #[cfg(unix)]
 fn ignores_hangups() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -60,7 +63,7 @@ fn ignores_hangups() -> bool {
     }
 }
 
-/// A flag for the command to poll, which the next signal sets rather than end the program; the one after that ends it.
+/// Flag for a command to poll, which the next signal sets instead of ending the program; a further signal ends it.
 pub(super) fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::default();
     *STOP.lock().unwrap_or_else(PoisonError::into_inner) =
@@ -92,7 +95,7 @@ pub(super) fn stopped(printed: Result<()>) -> Result<()> {
 fn acknowledge() {
     let _ = std::thread::Builder::new().spawn(|| {
         let mut stderr = io::stderr();
-        // Behind a progress bar and the `^C` of a terminal.
+        // Starts a new line after a progress bar or the terminal's `^C`.
         let start = if stderr.is_terminal() { "\n" } else { "" };
         let _ = writeln!(
             stderr,
@@ -103,7 +106,8 @@ fn acknowledge() {
 
 fn obey(signal: i32) {
     if let Some(stop) = &mut *STOP.lock().unwrap_or_else(PoisonError::into_inner) {
-        // A terminal that goes away hangs up by itself and by its shell, and whoever ends a session terminates what is left: no second wish.
+        // A lost terminal sends hangups itself and through its shell, and session managers terminate the rest: these
+        // count as one request.
         let is_one_wish = |&mut (by, at): &mut (i32, Instant)| signal == by && at.elapsed() < ONE_WISH;
         if signal == SIGHUP || is_one_wish(stop.asked.get_or_insert_with(|| (signal, Instant::now()))) {
             // Before the command can see that it was asked.
@@ -115,9 +119,9 @@ fn obey(signal: i32) {
         }
     }
     atomic::abandon_all();
-    // A shell that does one command after the other stops only where a signal has ended one.
+    // A shell that runs commands in sequence stops only if a signal has ended one.
     #[cfg(unix)]
     let _ = signal_hook::low_level::emulate_default_handler(signal);
-    // As shells have it.
+    // Exit code by the convention of shells.
     std::process::exit(128 + signal);
 }

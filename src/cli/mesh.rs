@@ -89,7 +89,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
     let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
-    // A given mesh needs points only to tell what of the truth is near.
+    // With a given mesh, points are needed only to select the nearby part of the ground truth.
     let capture = args.loading.open(&args.capture, args.mesh.is_some() && args.truth.is_none())?;
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     let mut notes = Vec::from_iter(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
@@ -119,20 +119,20 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json { outcome.print_json(args) } else { outcome.print(args) }
 }
 
-/// A surface, and how it came to be.
+/// Surface, and how it was made.
 struct Made {
     surface: Surface,
     steps: SurfaceStats,
     origin: SurfaceOrigin,
 }
 
-/// What is told of a surface.
+/// Results reported on a surface.
 struct Outcome {
     made: Made,
     charts: UnwrapStats,
-    /// Part of the texels that views see.
+    /// Fraction of the texels seen by views.
     seen: f64,
-    /// From and to the truth, if that is given.
+    /// Distances from and to the ground truth, if it is given.
     distance: Option<SurfaceDistance>,
     /// Length of the file.
     bytes: u64,
@@ -219,7 +219,7 @@ impl Made {
     }
 }
 
-/// What is not kept of meshes are their UVs, which are made anew.
+/// Reads a mesh. Its UVs are dropped and made anew.
 fn read(file: &Path) -> Result<Surface> {
     let read = mesh_import::read(file)?;
     Ok(Surface { positions: read.positions, triangles: read.triangles })
@@ -275,7 +275,7 @@ fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Resul
     Ok(Made { surface, steps: steps.surface, origin })
 }
 
-/// The surface with texture coordinates, and maps of which nothing is known yet.
+/// Unwraps the surface; its maps are still without content.
 fn unwrapped(made: &Made, args: &Args) -> Result<(Mesh, UnwrapStats)> {
     let charts_in = made.steps.contraction.map(ChartSpace::unbounded);
     let unwrapped = geometry::unwrap(&made.surface, charts_in.as_ref(), args.texture_size, geometry::WIDEST_GUTTER)
@@ -288,10 +288,10 @@ fn unwrapped(made: &Made, args: &Args) -> Result<(Mesh, UnwrapStats)> {
     Ok((mesh, unwrapped.stats))
 }
 
-/// Texels a side, at most, for telling which part of a map is seen: what is hidden costs a ray per texel and view.
+/// Upper bound on texels a side for determining the visible part of a map: hidden texels cost a ray per texel and view.
 const SEEN_AT: u32 = 512;
 
-/// Part of the texels in charts of a square map whose centres a view of the capture sees.
+/// Fraction of the texels in charts of a square map whose centres a view of the capture sees.
 fn seen_part(mesh: &Mesh, side: usize, capture: &Capture) -> Result<f64> {
     let cameras = capture.cameras();
     let viewers = Viewers::unmasked(&cameras, 0.0, 1);

@@ -97,7 +97,7 @@ impl Command {
     }
 }
 
-/// Exit code of wrong usage, which is clap's.
+/// Exit code of wrong usage, the same as clap's.
 const WRONG_USAGE: u8 = 2;
 
 /// Exit code where jobs of `centaur bench` are another runner's: to whoever runs it no failure, but a reason to ask again.
@@ -130,14 +130,15 @@ pub(crate) fn main() -> ExitCode {
     }
 }
 
-/// Now, since rayon panics where it cannot start them at their first use: containers may have more cores than they may have threads.
+/// Starts rayon's threads now, because rayon panics if it cannot start them on first use: containers may have more
+/// cores than permitted threads.
 fn start_threads() -> Result<()> {
     rayon::ThreadPoolBuilder::new()
         .build_global()
         .context("cannot start a thread for every core; RAYON_NUM_THREADS=4, say, in the environment takes fewer")
 }
 
-/// JSON has no way to write a name that is not UTF-8, and that is better said before anything is done.
+/// Rejects names that are not UTF-8 with `--json`, which cannot represent them, before anything is done.
 fn names_for_json(arguments: impl IntoIterator<Item = OsString>) -> Result<()> {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let is_asked_for = arguments.iter().any(|argument| argument == "--json");
@@ -147,12 +148,12 @@ fn names_for_json(arguments: impl IntoIterator<Item = OsString>) -> Result<()> {
     }
 }
 
-/// The chain of causes, outermost first, on one line. A cause that its effect already quotes is not repeated.
+/// Chain of causes, outermost first, on one line. A cause that its effect already quotes is not repeated.
 fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
         let cause = cause.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-        // Names may be anything.
+        // Names may contain any character.
         let cause = output::without_codes(&format::one_line(&cause)).into_owned();
         if line.is_empty() {
             line = cause;

@@ -1,4 +1,4 @@
-//! What commands print, and checks of where they are told to write.
+//! Output of commands, and checks of output paths.
 
 use std::borrow::Cow;
 use std::io::{self, Write as _};
@@ -17,7 +17,8 @@ pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
     write(format!("{}\n", without_codes(&serde_json::to_string(value)?)).as_bytes())
 }
 
-/// Prints `text` and a line end on stdout. Names of files and in them may be anything: in each line what would move the cursor is escaped.
+/// Prints `text` and a line end on stdout. Control characters are escaped in each line, because names of and in files
+/// may contain any character.
 pub(super) fn print(text: &str) -> Result<()> {
     let lines: Vec<Cow<'_, str>> = text.split('\n').map(one_line).collect();
     write(format!("{}\n", without_codes(&lines.join("\n"))).as_bytes())
@@ -28,22 +29,23 @@ pub(super) fn write(bytes: &[u8]) -> Result<()> {
     Ok(io::stdout().lock().write_all(bytes).map_err(StdoutError)?)
 }
 
-/// Nobody takes what is printed, or it has no room.
+/// Error of stdout: the reader is gone, or the disk is full.
 #[derive(Debug, thiserror::Error)]
 #[error("stdout: {0}")]
 struct StdoutError(#[source] io::Error);
 
-/// Whether whoever read our output has seen enough: `centaur inspect scene.glb | head -3`. Of other programs that stop reading it is an error.
+/// Whether the reader of stdout has closed it early, as in `centaur inspect scene.glb | head -3`. For other programs
+/// that stop reading, such an error counts.
 pub(super) fn is_read_enough(error: &anyhow::Error) -> bool {
     error.downcast_ref::<StdoutError>().is_some_and(|e| e.0.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// Prints a line on stderr that is no error; a reader that has gone away does not stop the command.
+/// Prints a note on stderr; a reader that has gone away does not stop the command.
 pub(super) fn note(text: &str) {
     let _ = writeln!(io::stderr(), "note: {}", without_codes(&one_line(text)));
 }
 
-/// Rust's I/O errors end in ` (os error 2)`, which tells a user nothing that the words before it do not.
+/// Removes ` (os error 2)` and the like, with which Rust's I/O errors end and which add no information for users.
 pub(super) fn without_codes(text: &str) -> Cow<'_, str> {
     const BEGIN: &str = " (os error ";
     let mut parts = text.split(BEGIN);
@@ -57,13 +59,13 @@ pub(super) fn without_codes(text: &str) -> Cow<'_, str> {
     plain
 }
 
-/// A bar over `length` items; hidden on request and where stderr is no terminal.
+/// Progress bar over `length` items; hidden on request and where stderr is no terminal.
 pub(super) fn bar(messages: &MessageArgs, length: u64) -> ProgressBar {
     if messages.quiet || messages.json { ProgressBar::hidden() } else { ProgressBar::new(length) }
 }
 
-/// Refuses, before hours of work, a file that could not be written at their end: its folder must exist and take
-/// files, its name must be one, and it must not be a folder itself.
+/// Rejects, before hours of work, a file that could not be written at their end: its folder must exist and be writable,
+/// its name must be valid, and it must not be a folder itself.
 pub(super) fn check_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         bail!("{}: expected the name of a file, found a folder", path.display());
@@ -71,13 +73,14 @@ pub(super) fn check_file(path: &Path) -> Result<()> {
     let cannot = || format!("{}: cannot write", path.display());
     probe(folder_of(&atomic::place_of(path).with_context(cannot)?)).with_context(cannot)?;
     match path.symlink_metadata() {
-        // Such as of a name that is too long.
+        // For example, if the name is too long.
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e).with_context(cannot),
         _ => Ok(()),
     }
 }
 
-/// Refuses a folder that neither takes files nor can be made. Its parent must exist: a mistyped path is not built.
+/// Rejects a folder that is neither writable nor can be created. Its parent must exist, so that no mistyped path is
+/// created.
 pub(super) fn check_folder(path: &Path) -> Result<()> {
     if path.exists() {
         return probe(path).with_context(|| format!("{}: cannot write", path.display()));
@@ -85,14 +88,15 @@ pub(super) fn check_folder(path: &Path) -> Result<()> {
     check_file(path)
 }
 
-/// A folder for files. One that was made is removed with this if nothing has come to be in it: what fails before its first file leaves nothing.
+/// Folder for files. If it was created here, it is removed on drop if empty: a failure before the first file leaves
+/// nothing behind.
 #[must_use = "what is made goes again with this, unless there is something in it"]
 pub(super) struct Folder {
     made: Option<PathBuf>,
 }
 
 impl Folder {
-    /// Makes the folder if need be, and those above it.
+    /// Creates the folder and its ancestors if necessary.
     pub(super) fn make(path: &Path) -> Result<Self> {
         let is_new = !path.exists();
         std::fs::create_dir_all(path).with_context(|| format!("{}: cannot make the folder", path.display()))?;
@@ -102,14 +106,14 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // The system refuses this where something is in it.
+        // The system rejects this if the folder is not empty.
         let _ = self.made.as_deref().map(std::fs::remove_dir);
     }
 }
 
-/// Refuses to write `output` over one of `inputs`, which would be gone.
+/// Rejects writing `output` over one of `inputs`, which would be lost.
 pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
-    // What is not there has no canonical path, and is nothing that could be lost.
+    // A path that does not exist cannot be canonicalised, and nothing can be lost there.
     let Ok(place) = output.canonicalize() else { return Ok(()) };
     if let Some(input) = inputs.into_iter().find(|input| input.canonicalize().is_ok_and(|input| input == place)) {
         bail!("{}: expected another file than {}, which would be lost", output.display(), input.display());
@@ -117,7 +121,7 @@ pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path
     Ok(())
 }
 
-/// Whether two paths, of what need not be there yet, lead to the same place.
+/// Whether two paths, which need not exist yet, lead to the same place.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     let place = |path: &Path| {
         path.canonicalize().ok().or_else(|| Some(folder_of(path).canonicalize().ok()?.join(path.file_name()?)))
@@ -125,7 +129,8 @@ pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     place(a).is_some_and(|a| place(b) == Some(a))
 }
 
-/// Makes and removes a nameless file in `folder`. Permission bits alone say too little: read-only mounts, quotas.
+/// Checks that `folder` is writable by creating and removing a nameless file. Permission bits are not sufficient:
+/// read-only mounts, quotas.
 fn probe(folder: &Path) -> Result<()> {
     match folder.metadata() {
         Err(e) => bail!("folder {}: {e}", folder.display()),
@@ -135,7 +140,7 @@ fn probe(folder: &Path) -> Result<()> {
     tempfile::tempfile_in(folder).map(drop).with_context(|| format!("folder {}", folder.display()))
 }
 
-/// `1 picture`, `2 pictures`.
+/// Number with a noun in singular or plural: `1 picture`, `2 pictures`.
 pub(super) fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
@@ -150,12 +155,12 @@ pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "expected a whole number from 1".into())
 }
 
-/// Paths, UTF-8 or not, that `check` takes; for clap's `value_parser`.
+/// Parser of paths, UTF-8 or not, that `check` accepts; for clap's `value_parser`.
 pub(super) fn path(check: fn(PathBuf) -> Result<PathBuf, String>) -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(check)
 }
 
-/// The path if its name ends in one of `extensions` (lower case, without dot).
+/// Accepts a path whose name ends in one of `extensions` (lower case, without dot).
 pub(super) fn with_extension(path: PathBuf, extensions: &[&str]) -> Result<PathBuf, String> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let ends = |extension: &&str| {

@@ -1,4 +1,4 @@
-//! How far a command is, told to a person (a bar), a program (JSON lines) or no one.
+//! Progress of a command, reported to a person (a bar), to a program (JSON lines) or not at all.
 
 use std::io::{self, Write as _};
 use std::time::Instant;
@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::output;
 use super::shared::MessageArgs;
 
-/// One training run.
+/// Progress of a training run.
 pub(super) struct Reporter {
     bar: ProgressBar,
     json: bool,
@@ -37,7 +37,7 @@ impl Reporter {
         self.bar.set_length(u64::from(p.of));
         self.bar.set_position(u64::from(p.iteration));
         if begins {
-            // A run that is resumed has not done in no time what was done before.
+            // For a resumed run, earlier iterations must not count for the speed.
             self.bar.reset_eta();
         }
         self.bar.set_prefix(match p.phase {
@@ -55,7 +55,7 @@ impl Reporter {
     }
 }
 
-/// What is done view by view.
+/// Progress of work that proceeds view by view.
 pub(super) struct Views {
     bar: ProgressBar,
     json: bool,
@@ -66,7 +66,7 @@ pub(super) struct Views {
 }
 
 impl Views {
-    /// `phase` is one word for what happens to the views.
+    /// Starts progress; `phase` is one word for the work on the views.
     pub(super) fn new(messages: &MessageArgs, phase: &'static str, of: usize) -> Self {
         let bar = bar(messages, of as u64, "{prefix:9} {bar:16} {pos}/{len} views  ETA {eta}");
         bar.set_prefix(phase);
@@ -74,12 +74,12 @@ impl Views {
         Self { bar, json: tells_programs(messages), phase, view: 0, of, start: Instant::now() }
     }
 
-    /// One more is done.
+    /// Counts one more finished view.
     pub(super) fn advance(&mut self) {
         self.reach(self.view + 1);
     }
 
-    /// So many are done; fewer than before where all begins again.
+    /// Sets the number of finished views; smaller than before if work starts again.
     pub(super) fn reach(&mut self, view: usize) {
         self.view = view;
         self.bar.set_position(view as u64);
@@ -90,7 +90,7 @@ impl Views {
         }
     }
 
-    /// Takes the bar off the terminal.
+    /// Removes the bar from the terminal.
     pub(super) fn finish(self) {
         self.bar.finish_and_clear();
     }
@@ -102,12 +102,13 @@ fn bar(messages: &MessageArgs, length: u64, template: &str) -> ProgressBar {
     bar
 }
 
-/// --quiet silences the lines too: --json --quiet leaves the one object on stdout.
+/// Whether progress is printed as JSON lines. --quiet suppresses them, too: --json --quiet leaves the one object on
+/// stdout.
 fn tells_programs(messages: &MessageArgs) -> bool {
     messages.json && !messages.quiet
 }
 
-/// Progress is a courtesy: a reader that has gone away does not stop the command.
+/// Prints progress; a reader that has gone away does not stop the command.
 fn tell(progress: &impl serde::Serialize) {
     let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": progress }));
 }

@@ -179,7 +179,7 @@ impl Args {
         self.cameras == Path::new("embedded")
     }
 
-    /// Refuses arguments that do not go together.
+    /// Rejects incompatible arguments.
     fn check(&self) -> Result<()> {
         let (look, is_exr) = (&self.look, self.format == Some(Format::Exr));
         usage::demand(
@@ -204,12 +204,12 @@ impl Args {
         )
     }
 
-    /// The one time that the scene and its cameras are shown at, if one is asked for.
+    /// Single time at which the scene and its cameras are shown, if requested.
     fn moment(&self) -> Option<f64> {
         if let Some(When::At(time)) = self.time { Some(time) } else { None }
     }
 
-    /// What has the cameras.
+    /// File with the cameras.
     fn source(&self) -> &Path {
         if self.is_embedded() { &self.scene } else { &self.cameras }
     }
@@ -270,7 +270,7 @@ impl Args {
         Ok(shot)
     }
 
-    /// Where the picture of each camera goes.
+    /// Path of each camera's image.
     fn pictures(&self, shot: &CameraFile) -> Vec<PathBuf> {
         let extension = if self.format() == Format::Png { "png" } else { "exr" };
         let names = shared::picture_names(shot.cameras.iter().map(|(name, _)| name.as_str()), extension);
@@ -299,7 +299,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let fps = shot.fps.unwrap_or(DEFAULT_FPS);
     let aspect = shot.cameras.first().map_or(1.0, |(_, camera)| video::aspect(camera));
     args.video.as_deref().map_or(Ok(()), |path| video::write(path, &pictures, fps, aspect))?;
-    // Of the scene; of cameras in the same file both say the same.
+    // Notes on the scene; for cameras in the same file, both have the same notes.
     let is_said = |note: &&String| args.is_embedded() && shot.notes.contains(note);
     let notes: Vec<&String> = file.notes.iter().filter(|note| !is_said(note)).collect();
     if args.messages.json {
@@ -309,7 +309,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
 }
 
-/// The document of a scene that moves.
+/// Document of an animated scene.
 fn moving(file: &SceneFile) -> Option<&Source> {
     file.source.as_ref().filter(|document| document.moves())
 }
@@ -330,7 +330,7 @@ fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], ar
         let mut renderer = match (moving.zip(shot.times.get(i)), kept.take()) {
             (None, Some(same)) => same,
             (None, None) => AnyRenderer::new(gpu, &file.scene, &poses, &args.look)?,
-            // One on the GPU at a time.
+            // Only one posed scene is on the GPU at a time.
             (Some((document, &time)), before) => {
                 drop(before);
                 let posed = document.at(&file.scene, time).with_context(|| args.scene.display().to_string())?;
@@ -363,7 +363,8 @@ fn report_interruption(drawn: &[PathBuf], all: usize, args: &Args) -> Result<()>
     })
 }
 
-/// Says if the last picture's number is followed by more in its folder: whoever takes the folder for one film has the end of another.
+/// Note if images with higher numbers than the last one are in its folder: a film made of the folder would end with
+/// those of another.
 fn leftover(pictures: &[PathBuf]) -> Option<String> {
     let [_, .., last] = pictures else { return None };
     let (stem, extension) = (last.file_stem()?.to_str()?, last.extension()?.to_str()?);
@@ -398,7 +399,7 @@ fn print(pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args
     output::print(&lines.join("\n"))
 }
 
-/// When a scene that moves is rendered, in seconds.
+/// Times, in seconds, at which an animated scene is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum When {
     At(f64),
@@ -421,9 +422,9 @@ impl When {
     }
 }
 
-/// One camera that keeps still, at all frames from the first time to the second.
+/// Frames of one static camera from the first time to the second.
 fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile> {
-    // A single one keeps still, also where it is a frame of a path and has a time.
+    // A single camera is static, even if it is a frame of a path and has a time.
     let [(_, camera)] = &shot.cameras[..] else {
         let what = if shot.times.is_empty() { "cameras" } else { "frames of one that moves" };
         bail!(
@@ -440,7 +441,7 @@ fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile
     Ok(CameraFile { cameras, fps: Some(fps), times, ..shot })
 }
 
-/// The fast renderer where it draws what is asked for.
+/// Renderer: the fast one if it supports the request.
 enum AnyRenderer<'g> {
     Whole(Box<Renderer<'g>>),
     Parts(Box<LayeredRenderer<'g>>),

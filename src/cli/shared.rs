@@ -1,4 +1,4 @@
-//! Arguments that several commands have.
+//! Arguments shared by several commands.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ pub(super) enum Backdrop {
 }
 
 impl Backdrop {
-    /// As `background` of a composition.
+    /// Colour as in `background` of a composition.
     pub(super) fn color(self) -> [f32; 3] {
         match self {
             Self::Black => [0.0; 3],
@@ -59,7 +59,8 @@ pub(super) struct CaptureArgs {
 }
 
 impl CaptureArgs {
-    /// The capture, `without_points` as if it had none: where nobody needs them their file may be missing.
+    /// Opens the capture; with `without_points` as if it had none, so that their file may be missing if they are not
+    /// needed.
     pub(super) fn open(&self, path: &Path, without_points: bool) -> Result<Capture> {
         Ok(capture::open(path, &LoadOptions { without_points, ..self.options() })?)
     }
@@ -103,7 +104,7 @@ impl PictureArgs {
         LoadOptions { downscale, images: self.images.clone(), ..LoadOptions::default() }
     }
 
-    /// Cameras of a scene that has been read from a glTF at `path`.
+    /// Cameras of a scene read from a glTF at `path`.
     pub(super) fn cameras_of(&self, source: &Source, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile> {
         Ok(resized(source.cameras(path, sampling)?, sampling, &self.options()))
     }
@@ -151,12 +152,12 @@ pub(super) struct AnimationArgs {
     pub(super) animations: Vec<String>,
 }
 
-/// A time.
+/// Parses a time in seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|t: &f64| t.is_finite()).ok_or_else(|| "expected a number of seconds".to_owned())
 }
 
-/// Frames a second.
+/// Parses a frame rate per second.
 pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
     let expected = || format!("expected a number from {} to {}", FRAME_RATES.start(), FRAME_RATES.end());
@@ -168,7 +169,7 @@ pub(super) fn turned(y_up: bool) -> Option<String> {
     y_up.then(|| "is y up, as glTF and USD are: turned half about x into the frame of captures".to_owned())
 }
 
-/// Cameras of a capture (a folder or `.json`), or of a glTF or USD file.
+/// Reads cameras of a capture (a folder or `.json`), or of a glTF or USD file.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadOptions) -> Result<CameraFile> {
     let is_json = format::has_extension(path, &["json"]);
     if !(is_json || path.is_dir()) {
@@ -181,8 +182,8 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     }
     let Cameras { mut cameras, fps: stated, y_up, passed_over: others, .. } = capture::cameras(path, options)?;
     let fps = sampling.fps.or(stated);
-    // Only a path states a rate, whichever it is read at. A frame of it has the time of its place in the whole, also where it is the only one
-    // wanted; photographs, and other stills, have none.
+    // Only paths state a rate, at whichever rate they are read. A frame of a path has the time of its place in the
+    // whole path, even if it is the only one selected; photographs and other stills have no time.
     let mut times = stated.and(fps).map_or_else(Vec::new, |fps| (0..cameras.len()).map(|i| i as f64 / fps).collect());
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
@@ -219,8 +220,9 @@ fn retain_rows<T>(rows: &mut Vec<T>, wanted: &[bool]) {
     rows.retain(|_| wanted.next().is_some_and(|&is| is));
 }
 
-/// What else lists views in the folder of a capture: COLMAP's models of photographs that it could not connect with the first ones; nerfstudio's file beside
-/// the model it was made of, which may have a split, masks and times, and is in a world of its own; files of a split beside one of all frames.
+/// Notes on other lists of views in the folder of a capture: COLMAP models of photographs that it could not connect
+/// with the first ones; nerfstudio's file beside the model from which it was made, which may have a split, masks and
+/// times, and has its own world frame; files of a split beside one with all frames.
 pub(super) fn passed_over(others: &[PathBuf]) -> Vec<String> {
     let name_of = |path: &PathBuf| path.file_name().unwrap_or_default().display().to_string();
     let (files, models): (Vec<_>, Vec<_>) = others.iter().partition(|path| format::has_extension(path, &["json"]));
@@ -232,7 +234,7 @@ pub(super) fn passed_over(others: &[PathBuf]) -> Vec<String> {
     let of_files = files.first().map(|&first| {
         let (name, one) = (name_of(first), first.with_file_name("transforms.json"));
         let taken = if *first != one && one.is_file() { "transforms.json" } else { "a COLMAP model" };
-        // One file of two is no split.
+        // One of the two files is no split.
         let advice = if name == "transforms_train.json" && files.len() > 1 {
             "move the former away to take the split"
         } else {
@@ -243,10 +245,11 @@ pub(super) fn passed_over(others: &[PathBuf]) -> Vec<String> {
     of_models.into_iter().chain(of_files).collect()
 }
 
-/// Refuses to write `pictures`, all in one folder, among photographs of the capture, a folder or `.json`, that the cameras of `path` come from, or of
-/// one that the folder is part of: cameras in a file do not say where their photographs are.
+/// Rejects writing `pictures`, all in one folder, among photographs of the capture (a folder or `.json`) from which the
+/// cameras of `path` come, or of a capture that contains the folder: cameras in a file do not state where their
+/// photographs are.
 pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &LoadOptions) -> Result<()> {
-    // In folders that are not there yet there are no photographs.
+    // Folders that do not exist yet contain no photographs.
     let Some(folder) = pictures.iter().find_map(|picture| picture.parent()?.canonicalize().ok()) else {
         return Ok(());
     };
@@ -254,9 +257,9 @@ pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &Loa
         spare_images(pictures, capture::cameras(path, options)?.images.iter().map(PathBuf::as_path))?;
     }
     let known = path.canonicalize().ok();
-    // Photographs of several cameras lie in folders of their own within that for photographs.
+    // Photographs of several cameras are in subfolders of the folder for photographs.
     for place in folder.ancestors().take(6).filter(|place| Some(*place) != known.as_deref()) {
-        // What cannot be read is none.
+        // Unreadable folders are no captures.
         if let Ok(own) = capture::cameras(place, &LoadOptions::default()) {
             spare_images(pictures, own.images.iter().map(PathBuf::as_path))?;
         }
@@ -264,17 +267,18 @@ pub(super) fn spare_photographs(pictures: &[PathBuf], path: &Path, options: &Loa
     Ok(())
 }
 
-/// Refuses to write `pictures` over any of the photographs `images`, or beside one, where they would be taken for more of them.
+/// Rejects writing `pictures` over any of the photographs `images`, or beside one, where they would be taken for
+/// further photographs.
 pub(super) fn spare_images<'a>(pictures: &[PathBuf], images: impl Iterator<Item = &'a Path> + Clone) -> Result<()> {
     let there: HashSet<PathBuf> = images.clone().filter_map(|image| image.canonicalize().ok()).collect();
     let is_image = |picture: &&PathBuf| picture.canonicalize().is_ok_and(|place| there.contains(&place));
     if let Some(picture) = pictures.iter().find(is_image) {
         bail!("{}: is a photograph of the capture: expected another folder", picture.display());
     }
-    // As the capture names them: a photograph may be a link to one elsewhere.
+    // Paths as in the capture: a photograph may be a link to another place.
     let names: HashSet<&Path> = images.filter(|image| image.exists()).filter_map(Path::parent).collect();
     let folders: HashSet<PathBuf> = names.into_iter().filter_map(|folder| folder.canonicalize().ok()).collect();
-    // Of the capture around them, which may have them in folders of folders; masks are called as renders are.
+    // Masks of the surrounding capture, which may be in nested folders; masks have the same names as renders.
     let around =
         folders.iter().flat_map(|folder| folder.ancestors().take(4).filter(|place| capture::is_capture(place)));
     let masks: HashSet<PathBuf> = around.filter_map(|place| place.join("masks").canonicalize().ok()).collect();

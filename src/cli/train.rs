@@ -1,4 +1,4 @@
-//! From photographs to a scene, with its scores.
+//! Training: from photographs to a scene, with its scores.
 
 mod args;
 mod notes;
@@ -78,21 +78,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
     } else {
         print(args, &trained, evaluation.as_ref())
     };
-    // Everything is written and said, or nobody listens; what was kept for resuming has served.
+    // All output is complete, or nobody reads it; the checkpoint is no longer needed.
     if printed.as_ref().map_or_else(output::is_read_enough, |()| true) {
         let _ = std::fs::remove_file(args.checkpoint());
     }
     printed
 }
 
-/// At once, to persons; in JSON they come at the end.
+/// Prints notes at once for persons; with JSON they come at the end.
 fn tell(told: &[String], args: &Args) {
     if !args.messages.json {
         told.iter().for_each(|note| output::note(note));
     }
 }
 
-/// The training itself. Where it fails before it has saved a checkpoint, what is `aside` is back.
+/// Trains. If training fails before it has saved a checkpoint, the file in `aside` is restored.
 fn train(
     args: &Args,
     (capture, mesh, options): (&Capture, MeshSource, &TrainOptions),
@@ -115,7 +115,7 @@ fn train(
     let trained = optimize::train(capture, mesh, options, session);
     reporter.finish();
     trained.map_err(|error| {
-        // Those of other runs are aside as yet.
+        // Checkpoints of other runs have been set aside.
         let has_saved = checkpoint.exists();
         if aside.is_some_and(|aside| aside.back().is_ok_and(|is_back| is_back)) {
             output::note(&format!("{}: is back, since this run left none", checkpoint.display()));
@@ -124,17 +124,17 @@ fn train(
     })
 }
 
-/// Set by signals, and by the end of stdin where that is asked for.
+/// Stop flag, set by signals, and by the end of stdin if requested.
 fn stop_flag(args: &Args) -> Result<Arc<AtomicBool>> {
     let stop = interrupt::stop_flag();
     if args.stop_at_eof {
-        // A terminal that goes away hangs up on all: where that ends whoever holds the other end, it is heard of by that. (`interrupt` may
-        // have taken hangups for ignored.)
+        // A lost terminal sends hangups to all: if one ends the process at the other end, the end of stdin reports it.
+        // (`interrupt` may have found hangups ignored.)
         #[cfg(unix)]
         signal_hook::flag::register(signal_hook::consts::SIGHUP, Arc::default()).context("cannot handle SIGHUP")?;
         let flag = Arc::clone(&stop);
         let thread = std::thread::Builder::new().name("end of stdin".into()).spawn(move || {
-            // However it ends.
+            // Ends with stdin, in whatever way.
             let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
             flag.store(true, Ordering::Relaxed);
         });
@@ -143,7 +143,7 @@ fn stop_flag(args: &Args) -> Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
-/// Whether there is something to score, with all that it takes.
+/// Whether there is something to score; checks that it can be scored.
 fn will_be_scored(args: &Args, capture: &Capture, lpips: Option<&Lpips>) -> Result<bool> {
     let scores = !args.no_eval && !args.split().split(&capture.views).1.is_empty();
     ensure!(
@@ -160,7 +160,7 @@ fn will_be_scored(args: &Args, capture: &Capture, lpips: Option<&Lpips>) -> Resu
     Ok(scores)
 }
 
-/// Writes scene and splats; from a checkpoint that there is they can be made again.
+/// Writes scene and splats; if there is a checkpoint, they can be written again from it.
 fn write(args: &Args, capture: &Capture, trained: &Trained, record: &Record) -> Result<()> {
     let cameras: Vec<_> = capture.views.iter().zip(&trained.cameras).map(|(v, c)| (v.name.clone(), *c)).collect();
     let scene = &trained.scene;
@@ -179,7 +179,7 @@ fn write(args: &Args, capture: &Capture, trained: &Trained, record: &Record) -> 
     })
 }
 
-/// Scores the held-out views; `None` if that was stopped.
+/// Scores the held-out views; `None` if stopped.
 fn score(
     args: &Args,
     capture: &Capture,
@@ -234,7 +234,7 @@ fn print(args: &Args, trained: &Trained, evaluation: Option<&Evaluation>) -> Res
     output::print(&format!("wrote {}", args.output.display()))
 }
 
-/// What an interrupted run left stays, under another name, where this one does not go on from it.
+/// Renames the checkpoint of an interrupted run from which this one does not resume, so that it is kept.
 fn set_aside(args: &Args) -> Result<Option<Aside>> {
     let checkpoint = args.checkpoint();
     if args.resume || !checkpoint.is_file() {

@@ -1,24 +1,24 @@
-//! Wrong usage that clap does not see: arguments that do not go together, and flags within flags. One line as of any failure, and the exit
-//! code of wrong usage, so that scripts tell a mistake in a command from one in a file.
+//! Wrong usage that clap does not detect: incompatible arguments, and flags within flags. Reported on one line like any
+//! failure, but with the exit code of wrong usage, so that scripts can tell a mistake in a command from one in a file.
 
 use anyhow::Result;
 
-/// What is wrong about a command, in words.
+/// Description of what is wrong about a command.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct WrongUsage(String);
 
-/// Wrong usage as an error.
+/// Creates an error of wrong usage.
 pub(super) fn wrong(message: impl Into<String>) -> anyhow::Error {
     WrongUsage(message.into()).into()
 }
 
-/// Wrong usage unless it `holds`.
+/// Returns an error of wrong usage unless `holds`.
 pub(super) fn demand(holds: bool, message: impl Into<String>) -> Result<()> {
     if holds { Ok(()) } else { Err(wrong(message)) }
 }
 
-/// Whether an error is one of these, whatever has been said about it since.
+/// Whether an error is one of wrong usage, regardless of added context.
 pub(super) fn is_wrong(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| cause.downcast_ref::<WrongUsage>().is_some())
 }

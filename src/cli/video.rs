@@ -1,4 +1,4 @@
-//! A film of pictures, by ffmpeg.
+//! Film made of images, by ffmpeg.
 
 use std::fs::{self, File};
 use std::io::{self, Read as _, Seek as _, Write as _};
@@ -10,15 +10,17 @@ use centaur::atomic::{self, Staging, folder_of};
 use centaur::format::pixel_aspect;
 use centaur::scene::Camera;
 
-/// How much wider or narrower than high pixels may be and still count as square: focal lengths of captures differ by a thousandth.
+/// Deviation from 1 of a pixel's aspect ratio up to which it counts as square: focal lengths of captures differ by a
+/// thousandth.
 const SQUARE: f32 = 0.005;
 
-/// Width over height of the pixels of a camera's picture.
+/// Pixel aspect ratio (width over height) of a camera's image.
 pub(super) fn aspect(camera: &Camera) -> f32 {
     pixel_aspect(camera.intrinsics())
 }
 
-/// Refuses what cannot become a film before it is rendered. It may lie among the `pictures`, in a folder that is yet to be made.
+/// Rejects what cannot become a film, before it is rendered. The film may be in the folder of `pictures`, which may not
+/// exist yet.
 pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) -> Result<()> {
     let plain = |path: &Path| path.components().filter(|part| *part != Component::CurDir).collect::<PathBuf>();
     let is_among = path.parent().is_some_and(|folder| plain(folder) == plain(pictures));
@@ -62,7 +64,8 @@ pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) 
     Ok(())
 }
 
-/// Makes an H.264 film of PNG files in their order, `fps` a second, of pixels so many times as wide as high. It is there whole or not at all.
+/// Encodes PNG files, in order, as an H.264 film with `fps` frames per second and pixels of this aspect ratio. Written
+/// atomically.
 pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) -> Result<()> {
     let named = || format!("{}: cannot write", path.display());
     let place = atomic::place_of(path).with_context(named)?;
@@ -85,7 +88,7 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) ->
     drop(stdin);
     let status = child.wait().context("ffmpeg")?;
     if !status.success() {
-        // It stops reading where it fails, and says why.
+        // ffmpeg stops reading when it fails, and states why.
         let mut said = String::new();
         messages.rewind()?;
         messages.take(1 << 16).read_to_string(&mut said).ok();
@@ -98,7 +101,8 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) ->
     fs::rename(&film, place).with_context(named)
 }
 
-/// Everything but the output. 4:2:0 needs even sides, which a row or column of black makes; colours are those of HD video.
+/// Arguments of ffmpeg except the output. 4:2:0 requires even sides, obtained by a black row or column; colours are
+/// those of HD video.
 fn arguments(fps: f64, aspect: f32) -> Vec<String> {
     let aspect = if (aspect - 1.0).abs() > SQUARE { aspect } else { 1.0 };
     let even = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p";

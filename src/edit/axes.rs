@@ -2,17 +2,18 @@ use std::str::FromStr;
 
 use glam::{DMat3, DVec3};
 
-/// Where the axes x, y and z of a frame point, to one who looks at a scene as it is meant to be seen.
+/// Axis convention of a coordinate frame: the directions in which x, y and z point for a viewer who sees the scene
+/// upright.
 ///
-/// Read from three letters, such as `RDF` for x right, y down, z forward; or from the name of a convention:
-/// `y-down` or `colmap` (`RDF`: this crate, INRIA's `.ply`), `y-up` or `gltf` (`RUB`: three.js too), `z-up` or `blender`
-/// (`RFU`), `unity` (`RUF`), `unreal` (`FRU`). The last two are left-handed.
+/// Parsed from three letters, such as `RDF` for x right, y down, z forward; or from the name of a convention: `y-down`
+/// or `colmap` (`RDF`: this crate, INRIA's `.ply`), `y-up` or `gltf` (`RUB`: also three.js), `z-up` or `blender`
+/// (`RFU`), `unity` (`RUF`), `unreal` (`FRU`). `unity` and `unreal` are left-handed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axes(DMat3);
 
 impl Axes {
-    /// Matrix that takes coordinates in this frame to coordinates in `to`; of determinant −1 where their handedness
-    /// differs.
+    /// Matrix from coordinates in this frame to coordinates in `to`; its determinant is −1 if the two differ in
+    /// handedness.
     #[must_use]
     pub fn to(self, to: Self) -> DMat3 {
         to.0.transpose() * self.0
@@ -50,7 +51,7 @@ impl FromStr for Axes {
     }
 }
 
-/// In the frame right, up, back.
+/// Unit vector of a direction letter, in the frame right, up, back.
 fn direction(letter: char) -> Option<DVec3> {
     Some(match letter {
         'r' => DVec3::X,

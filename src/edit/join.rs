@@ -1,6 +1,6 @@
 use crate::scene::{Atlas, HybridScene, Mesh, SceneError, SplatArrays, Splats, Texture, sh};
 
-/// Splats of another SH degree, at most 3: higher bands are dropped, or added as zeros.
+/// Converts splats to another SH degree, at most 3: drops the higher bands or adds zeros.
 #[must_use]
 pub fn with_sh_degree(splats: Splats, degree: u32) -> Splats {
     let degree = degree.min(sh::MAX_DEGREE);
@@ -11,7 +11,7 @@ pub fn with_sh_degree(splats: Splats, degree: u32) -> Splats {
     arrays.check().expect("a lower degree is a part, and zeros are valid")
 }
 
-/// A mesh whose colour has at most this SH degree.
+/// Limits the SH degree of a mesh's colour to `degree`.
 #[must_use]
 pub fn with_mesh_sh_degree(mesh: Mesh, degree: u32) -> Mesh {
     let atlas = mesh.atlas();
@@ -26,20 +26,21 @@ pub fn with_mesh_sh_degree(mesh: Mesh, degree: u32) -> Mesh {
     mesh.with_atlas(atlas)
 }
 
-/// All scenes as one: splats one after the other, at the highest SH degree among them, and all meshes. With each scene goes whether it is
-/// stated how it is blended, as its file may leave that open (`format::SceneFile::states_composition`).
+/// Joins scenes into one: all splats in sequence, at the highest SH degree among the scenes, and all meshes. The flag
+/// of each scene says whether its file states how it is blended (`format::SceneFile::states_composition`).
 ///
-/// The whole is blended by the rule of the first scene that states one and has a mesh, else of the first that states one, of the first with a
-/// mesh, of the first; but with the most layers among those with meshes, by the pixel filter of the first with splats, and from the nearest near plane on among
-/// those that state their rule, or among all if none does.
+/// The composition is that of the first scene that states one and has a mesh; else of the first that states one; else
+/// of the first with a mesh; else of the first. Exceptions: the number of layers is the largest among scenes with
+/// meshes, the pixel filter is that of the first scene with splats, and the near plane is the nearest among scenes that
+/// state their composition, or among all if none does.
 ///
 /// # Errors
-/// If the scenes blend in different colour spaces: colours of one would be wrong in the other.
+/// If the scenes blend in different colour spaces: one scene's colours would be wrong in the other's.
 pub fn join(scenes: Vec<(HybridScene, bool)>) -> Result<HybridScene, SceneError> {
     let degree = scenes.iter().map(|(s, _)| s.splats.sh_degree()).max().unwrap_or(0);
     let has_mesh = |s: &HybridScene| !s.meshes.is_empty();
     let states_any = scenes.iter().any(|(_, states)| *states);
-    // From the end, as the last of equals is taken.
+    // Reversed, because `max_by_key` returns the last of equal elements.
     let rule = scenes.iter().rev().max_by_key(|(s, states)| (*states, has_mesh(s)));
     let mut composition = rule.map(|(s, _)| s.composition).unwrap_or_default();
     if let Some((with_splats, _)) = scenes.iter().find(|(s, _)| !s.splats.is_empty()) {
@@ -47,7 +48,7 @@ pub fn join(scenes: Vec<(HybridScene, bool)>) -> Result<HybridScene, SceneError>
     }
     let with_mesh = scenes.iter().filter(|(s, _)| has_mesh(s));
     composition.layers = with_mesh.map(|(s, _)| s.composition.layers).fold(composition.layers, u32::max);
-    // What others have is the usual one, in whatever unit.
+    // Scenes that state no composition have the default near plane, in whatever unit.
     let with_near = scenes.iter().filter(|(_, states)| *states || !states_any);
     composition.near = with_near.map(|(s, _)| s.composition.near).fold(composition.near, f32::min);
     let mut all = SplatArrays { sh_degree: degree, ..SplatArrays::default() };

@@ -3,27 +3,27 @@ use rayon::prelude::*;
 
 use crate::scene::{Mesh, Splats, sigmoid};
 
-/// A part of space, its border included.
+/// A region of space, its boundary included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Volume {
-    /// From the lower corner to the upper; sides may be infinite.
+    /// Axis-aligned box between two corners; sides may be infinite.
     Box {
         /// Lower corner.
         low: DVec3,
         /// Upper corner.
         high: DVec3,
     },
-    /// A ball.
+    /// Ball.
     Sphere {
-        /// Its centre.
+        /// Centre of the ball.
         center: DVec3,
-        /// Its radius, ≥ 0.
+        /// Radius of the ball, ≥ 0.
         radius: f64,
     },
 }
 
 impl Volume {
-    /// Whether `p` lies in it.
+    /// Whether `p` lies in the volume.
     #[must_use]
     pub fn contains(&self, p: DVec3) -> bool {
         match self {
@@ -33,12 +33,12 @@ impl Volume {
     }
 }
 
-/// What of space is kept.
+/// Region of space to be kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Crop {
-    /// What lies inside.
+    /// Keeps the inside of the volume.
     Inside(Volume),
-    /// What lies outside.
+    /// Keeps the outside of the volume.
     Outside(Volume),
 }
 
@@ -51,13 +51,14 @@ impl Crop {
     }
 }
 
-/// Indices of the splats whose means all `crops` keep.
+/// Indices of the splats whose means every crop in `crops` keeps.
 #[must_use]
 pub fn in_crops(splats: &Splats, crops: &[Crop]) -> Vec<usize> {
     indices(splats, |i| crops.iter().all(|c| c.keeps(splats.means()[i].as_dvec3())))
 }
 
-/// The triangles whose centroids all `crops` keep, and their vertices; `None` if none is left.
+/// Reduces a mesh to the triangles whose centroids every crop in `crops` keeps, and their vertices; `None` if no
+/// triangle is left.
 #[must_use]
 pub fn crop_mesh(mesh: &Mesh, crops: &[Crop]) -> Option<Mesh> {
     let keeps = |t: &[u32; 3]| {
@@ -67,14 +68,14 @@ pub fn crop_mesh(mesh: &Mesh, crops: &[Crop]) -> Option<Mesh> {
     mesh.with_triangles(&mesh.triangles().iter().map(keeps).collect::<Vec<_>>())
 }
 
-/// Indices of the splats with at least this opacity, 0 to 1.
+/// Indices of the splats whose opacity is at least `opacity`, 0 to 1.
 #[must_use]
 pub fn not_below_opacity(splats: &Splats, opacity: f64) -> Vec<usize> {
     indices(splats, |i| sigmoid(f64::from(splats.opacity_logits()[i])) >= opacity)
 }
 
-/// Indices, ascending, of the `count` splats that weigh most in pictures: opacity times the area of the ellipsoid's
-/// largest section. Of equals the first are taken.
+/// Indices, ascending, of the `count` splats that contribute most to images: opacity times the area of the ellipsoid's
+/// largest cross-section. Ties go to the lower index.
 #[must_use]
 pub fn most_important(splats: &Splats, count: usize) -> Vec<usize> {
     let mut ranked: Vec<(f64, usize)> = (0..splats.len()).into_par_iter().map(|i| (importance(splats, i), i)).collect();
@@ -87,7 +88,7 @@ pub fn most_important(splats: &Splats, count: usize) -> Vec<usize> {
     indices
 }
 
-/// Logarithm of opacity times the product of the two larger standard deviations: free of overflow.
+/// Logarithm of opacity times the product of the two larger standard deviations, computed without overflow.
 fn importance(splats: &Splats, i: usize) -> f64 {
     let s = splats.log_scales()[i].as_dvec3();
     // ln σ(x) = −ln(1 + e^−x), which is x itself where e^−x overflows.

@@ -3,9 +3,10 @@ use rayon::prelude::*;
 
 use crate::scene::{Camera, HybridScene, Intrinsics, Mesh, SceneError, Splats, frame::OPENGL_FROM_OPENCV, placement};
 
-/// `p' = scale · orthogonal · p + translation`: everything that leaves shapes alone. `orthogonal` may mirror.
+/// Similarity transform `p' = scale · orthogonal · p + translation`, which preserves shape. `orthogonal` may include a
+/// reflection.
 ///
-/// A scene and a camera that are both moved give the same picture; mirrored ones give it mirrored left to right.
+/// Transforming both scene and camera leaves the image unchanged; a reflection mirrors it left to right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
     scale: f64,
@@ -14,17 +15,17 @@ pub struct Similarity {
 }
 
 impl Similarity {
-    /// Leaves everything where it is, to the bit.
+    /// Identity; leaves all values bit for bit unchanged.
     pub const IDENTITY: Self = Self { scale: 1.0, orthogonal: DMat3::IDENTITY, translation: DVec3::ZERO };
 
     /// Half a turn about x, [`OPENGL_FROM_OPENCV`]: from the frame of captures to a world that is y up, as those of glTF and USD are, and back.
     pub const HALF_TURN: Self =
         Self { scale: 1.0, orthogonal: DMat3::from_diagonal(OPENGL_FROM_OPENCV), translation: DVec3::ZERO };
 
-    /// Scales and turns (or mirrors) about the origin, then translates.
+    /// Creates the transform that scales and rotates (or reflects) about the origin, then translates.
     ///
     /// # Errors
-    /// If a number is not finite, the scale is not positive or the matrix not orthogonal to 1e-9.
+    /// If a number is not finite, the scale is not positive or the matrix is not orthogonal to within 1e-9.
     pub fn new(scale: f64, orthogonal: DMat3, translation: DVec3) -> Result<Self, SceneError> {
         if !(scale > 0.0 && scale.is_finite()) {
             return Err(SceneError::new("scale", "a positive number", scale.to_string()));
@@ -38,7 +39,7 @@ impl Similarity {
         Ok(Self { scale, orthogonal, translation })
     }
 
-    /// This one, then `next`.
+    /// Composes two transforms: this one, followed by `next`.
     #[must_use]
     pub fn then(&self, next: &Self) -> Self {
         Self {
@@ -48,22 +49,22 @@ impl Similarity {
         }
     }
 
-    /// A moved point.
+    /// Transforms a point.
     #[must_use]
     pub fn point(&self, p: DVec3) -> DVec3 {
         self.scale * (self.orthogonal * p) + self.translation
     }
 
-    /// The same as a matrix for column vectors.
+    /// Homogeneous 4×4 matrix of the transform, for column vectors.
     #[must_use]
     pub fn matrix(&self) -> DMat4 {
         DMat4::from_translation(self.translation) * DMat4::from_mat3(self.scale * self.orthogonal)
     }
 
-    /// Moved splats: means, scales, rotations and spherical harmonics.
+    /// Transforms splats: means, scales, rotations and spherical harmonics.
     ///
     /// # Errors
-    /// If a number leaves the range of f32.
+    /// If a value leaves the range of f32.
     pub fn splats(&self, splats: Splats) -> Result<Splats, SceneError> {
         if *self == Self::IDENTITY {
             return Ok(splats);
@@ -80,11 +81,11 @@ impl Similarity {
         s.check()
     }
 
-    /// A moved mesh: positions and the harmonics of every texel. Mirroring turns the winding of triangles, so that
-    /// their front stays their front.
+    /// Transforms a mesh: positions and the spherical harmonics of every texel. A reflection reverses the winding of
+    /// triangles, so that front faces stay front faces.
     ///
     /// # Errors
-    /// If a number leaves the range of f32.
+    /// If a value leaves the range of f32.
     pub fn mesh(&self, mesh: &Mesh) -> Result<Mesh, SceneError> {
         let positions: Vec<Vec3> = mesh.positions().iter().map(|p| self.point(p.as_dvec3()).as_vec3()).collect();
         let (mut triangles, mut corner_uvs) = (mesh.triangles().to_vec(), mesh.corner_uvs().to_vec());
@@ -95,10 +96,11 @@ impl Similarity {
         Mesh::new(positions, triangles, corner_uvs, placement::turned(mesh.atlas(), self.orthogonal)?)
     }
 
-    /// The camera to which a moved scene looks as the scene did to `camera`; mirrored left to right if the scene is.
+    /// Camera from which the transformed scene looks as the original does from `camera`; mirrored left to right if the
+    /// transform is a reflection.
     ///
     /// # Errors
-    /// If a number leaves the range of f64.
+    /// If a value leaves the range of f64.
     pub fn camera(&self, camera: &Camera) -> Result<Camera, SceneError> {
         if *self == Self::IDENTITY {
             return Ok(*camera);
@@ -114,10 +116,10 @@ impl Similarity {
         Camera::new(k, rotation, translation)
     }
 
-    /// A moved scene; λ and the near distance grow with it.
+    /// Transforms a scene; λ and the near distance scale with it.
     ///
     /// # Errors
-    /// If a number leaves the range of f32.
+    /// If a value leaves the range of f32.
     pub fn scene(&self, scene: HybridScene) -> Result<HybridScene, SceneError> {
         let HybridScene { splats, meshes, mut composition } = scene;
         composition.lambda = (f64::from(composition.lambda) * self.scale) as f32;
@@ -131,8 +133,8 @@ impl Similarity {
         self.orthogonal.determinant() < 0.0
     }
 
-    /// The rotation that turns ellipsoids as `orthogonal` does: they are the same seen through their centre, so that
-    /// a reflection `O` turns them like the rotation `−O`.
+    /// Rotation that transforms ellipsoids as `orthogonal` does: ellipsoids are symmetric about their centre, so a
+    /// reflection `O` acts on them like the rotation `−O`.
     fn turn(&self) -> DQuat {
         DQuat::from_mat3(&if self.mirrors() { -self.orthogonal } else { self.orthogonal }).normalize()
     }

@@ -1,12 +1,14 @@
-//! Between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats store.
+//! Conversion between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats
+//! store.
 
 use crate::scene::{self, Mesh, sigmoid};
 
-/// Largest opacity below 1 in f32: its logit is 16.6. Smallest: that of the smallest normal f32, −87.
+/// Range of opacities. The largest is the largest f32 below 1, with logit 16.6; the smallest is the smallest normal
+/// f32, with logit −87.
 const OPACITY_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, 1.0 - f32::EPSILON as f64 / 2.0];
 const SCALE_RANGE: [f64; 2] = [f32::MIN_POSITIVE as f64, f32::MAX as f64];
 
-/// `1/(1+e^-l)`, kept off 0 and 1.
+/// Opacity `1/(1+e^-l)` of a logit, bounded away from 0 and 1.
 pub(super) fn opacity(logit: f32) -> f32 {
     let [low, high] = OPACITY_RANGE;
     sigmoid(f64::from(logit)).clamp(low, high) as f32
@@ -19,23 +21,24 @@ pub(super) fn logit(opacity: f32) -> (f32, bool) {
     (scene::logit(clamped) as f32, clamped != f64::from(opacity))
 }
 
-/// As [`logit`], of a texel of a map, between ±16.6. Maps are filtered and averaged as logits: were the least further from 0 than the largest,
-/// one clear texel would outweigh the opaque ones around it. A bound nearer to 0 would leave colour in what is clear: σ(−16.6) is 6e-8.
+/// Same as [`logit`], for a texel of a map: limited to ±16.6. Maps are filtered and averaged as logits: if the lower
+/// limit were farther from 0 than the upper one, one clear texel would outweigh the opaque ones around it. A limit
+/// closer to 0 would leave colour in clear texels: σ(−16.6) is 6e-8.
 pub(super) fn map_logit(opacity: f32) -> f32 {
     logit(opacity.clamp(f32::EPSILON / 2.0, 1.0)).0
 }
 
-/// Logit from which on a texel is opaque in a picture of 8 bits.
+/// Logit at and above which a texel is opaque in an 8-bit image.
 const OPAQUE: f32 = 6.2;
 
-/// Layers of meshes that a scene which states none is shown with: as many as there can be where a surface lets through what is behind it, as
-/// cut-outs and glass do.
+/// Number of mesh layers for a scene that states none: the maximum if a surface lets through what is behind it, as
+/// cut-outs and glass do, else 1.
 pub(super) fn layers(meshes: &[Mesh]) -> u32 {
     let is_clear = |mesh: &Mesh| mesh.atlas().base().texels().chunks_exact(4).any(|texel| texel[3] < OPAQUE);
     if meshes.iter().any(is_clear) { 4 } else { 1 }
 }
 
-/// `e^s`, kept off 0 and infinity.
+/// Scale `e^s` of a log-scale, bounded away from 0 and infinity.
 pub(super) fn scale(log_scale: f32) -> f32 {
     let [low, high] = SCALE_RANGE;
     f64::from(log_scale).exp().clamp(low, high) as f32

@@ -1,13 +1,13 @@
-//! Zip files that are written.
+//! Writing of zip files.
 
 use std::io::{self, Seek, SeekFrom, Write};
 
 use zip::ZipWriter;
 
-/// Writes the members that `fill` adds, and the end.
+/// Writes the members that `fill` adds, and the end of the archive.
 ///
 /// # Errors
-/// Those of `fill` and of `out`, the first.
+/// The first error of `fill` or `out`.
 pub(super) fn write_zip<W: Write + Seek>(
     out: W,
     fill: impl FnOnce(&mut ZipWriter<UntilError<W>>) -> io::Result<()>,
@@ -18,10 +18,11 @@ pub(super) fn write_zip<W: Write + Seek>(
     Ok(())
 }
 
-/// Takes and drops everything after its first error: a zip that is dropped writes its end, and says on stderr that it cannot.
+/// Writer that discards everything after its first error: a dropped `ZipWriter` would write the archive's end and
+/// report its failure on stderr.
 pub(super) struct UntilError<W> {
     out: W,
-    /// Where it stands, or would: a zip subtracts places from each other.
+    /// Actual or, after an error, assumed position: a `ZipWriter` subtracts positions.
     at: u64,
     has_failed: bool,
 }

@@ -1,4 +1,4 @@
-//! Work on many splats with memory for few of them: what is read or made next is so while the former is used.
+//! Processing of many splats in bounded memory: the next block is read or computed while the previous one is used.
 
 use std::io::{self, Read};
 
@@ -6,11 +6,11 @@ use rayon::prelude::*;
 
 use super::error::Fault;
 
-/// About as much as is read at once.
+/// Approximate number of bytes read at once.
 pub(super) const BLOCK_BYTES: usize = 4 << 20;
 
-/// Calls `fill` with a number of rows, at most `per_block`, and bytes to put them into, until it had `count` rows; and
-/// `visit` with the index of the first row and the bytes.
+/// Processes `count` rows in blocks: `fill` gets a number of rows, at most `per_block`, and a buffer to fill; `visit`
+/// gets the index of the first row and the bytes.
 pub(super) fn in_blocks(
     count: usize,
     per_block: usize,
@@ -32,8 +32,8 @@ pub(super) fn in_blocks(
     Ok(())
 }
 
-/// Calls `visit` with the index of the first row and the bytes of `count` rows of `stride` bytes each, as they stand in
-/// `file` from here, which is at `offset`.
+/// Reads `count` rows of `stride` bytes each from `file`, whose current position is `offset`, and calls `visit` with
+/// the index of the first row and the bytes of each block.
 pub(super) fn read_in_blocks(
     file: &mut (impl Read + Send),
     offset: u64,
@@ -53,7 +53,7 @@ pub(super) fn read_in_blocks(
     })
 }
 
-/// Makes the items `0..count` side by side, and hands them over one by one in their order.
+/// Computes the items `0..count` in parallel, and passes them on one by one in order.
 pub(super) fn in_waves<T: Send>(
     count: usize,
     make: impl Fn(usize) -> T + Sync,

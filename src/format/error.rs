@@ -11,7 +11,7 @@ use super::cameras::NO_CAMERAS;
 use super::has_extension;
 use crate::scene::SceneError;
 
-/// Why a file could not be read or written. One line: the file, where in it, what was expected, what was found.
+/// Error of reading or writing a file. Displays as one line: file, place in it, expectation, finding.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FormatError {
@@ -38,9 +38,9 @@ pub enum FormatError {
         file: PathBuf,
         /// Where in the file.
         location: Location,
-        /// What would have been accepted.
+        /// What the format, or Centaur, would accept.
         expected: String,
-        /// What was there.
+        /// What the file contains.
         found: String,
     },
 }
@@ -61,7 +61,7 @@ pub enum Location {
     File,
     /// Offset in bytes from the start of the file.
     Byte(u64),
-    /// Place in a text, both counted from 1; the column in characters.
+    /// Line and column in a text, both counted from 1; the column in characters.
     Line {
         /// Line.
         line: u64,
@@ -70,13 +70,13 @@ pub enum Location {
     },
     /// JSON pointer (RFC 6901) into the glTF document, or path of a prim or property of a USD layer.
     Pointer(String),
-    /// A field of the scene that was being made: `means[17]`.
+    /// Field of the scene being built: `means[17]`.
     Field(String),
-    /// Place in a member of a zip, or in what a compressed file unpacks to.
+    /// Place in a member of a zip archive, or in the unpacked content of a compressed file.
     Member {
-        /// Its name there, quoted, or `unpacked`.
+        /// Quoted name of the member, or `unpacked`.
         name: String,
-        /// Where in it.
+        /// Place in the member.
         at: Box<Location>,
     },
 }
@@ -94,7 +94,7 @@ impl fmt::Display for Location {
     }
 }
 
-/// [`FormatError::Content`] before the file's name is known: what the parsers return.
+/// Precursor of [`FormatError::Content`] without the file's name, returned by parsers.
 #[derive(Clone, Debug)]
 pub(crate) struct Fault {
     location: Location,
@@ -103,7 +103,7 @@ pub(crate) struct Fault {
 }
 
 impl Fault {
-    /// No place: it is not the content that is at fault, but what was asked of it.
+    /// Creates a fault without a place: the request is at fault, not the file's content.
     pub(crate) fn whole(expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self { location: Location::File, expected: expected.into(), found: found.into() }
     }
@@ -120,22 +120,22 @@ impl Fault {
         Self { location: Location::Pointer(at.into()), expected: expected.into(), found: found.into() }
     }
 
-    /// The system or the end of the file kept a reader from what should be at `offset`.
+    /// Creates a fault for content at `offset` that could not be read, because of the system or the end of the file.
     pub(crate) fn unreadable(offset: u64, error: &std::io::Error) -> Self {
         Self { location: Location::Byte(offset), expected: "readable content".to_owned(), found: error.to_string() }
     }
 
-    /// The same at a place that the finder did not know.
+    /// Sets the place, in bytes, of a fault that has none.
     pub(crate) fn at_byte(self, offset: usize) -> Self {
         Self { location: Location::Byte(offset as u64), ..self }
     }
 
-    /// As [`Self::at_byte`], unless the finder did know.
+    /// Same as [`Self::at_byte`], but keeps a place that is already known.
     pub(crate) fn or_at_byte(self, offset: usize) -> Self {
         if self.location == Location::File { self.at_byte(offset) } else { self }
     }
 
-    /// The same at `at`, a JSON pointer or the path of a prim, where the finder knew no more than a field of the scene.
+    /// Moves a fault to `at`, a JSON pointer or the path of a prim, if its place is no more than a field of the scene.
     pub(crate) fn under(self, at: impl Into<String>) -> Self {
         let found = match self.location {
             Location::File => self.found,
@@ -145,7 +145,7 @@ impl Fault {
         Self { location: Location::Pointer(at.into()), found, ..self }
     }
 
-    /// The same at the place of an element, by its index, where the finder knew no more than this.
+    /// Moves a fault to the place of an element, given its index, if its place is no more than a field of the scene.
     pub(crate) fn of_element(self, place: impl FnOnce(usize) -> Location) -> Self {
         match self.element() {
             Some((name, i)) => Self { location: place(i), found: format!("{} in {name}[{i}]", self.found), ..self },
@@ -153,8 +153,8 @@ impl Fault {
         }
     }
 
-    /// The same at the place of the part that it is in, of parts one after the other: how many elements each has, and a pointer
-    /// or the path of a prim.
+    /// Moves a fault to the part that contains the faulty element. Parts are consecutive; each has a number of elements
+    /// and a pointer or the path of a prim.
     pub(crate) fn of_part<'a>(self, parts: impl IntoIterator<Item = (usize, &'a str)>) -> Self {
         let Some((name, mut i)) = self.element() else { return self };
         for (count, at) in parts {
@@ -185,7 +185,7 @@ impl Fault {
         Self { location, ..self }
     }
 
-    /// The same in what the file unpacks to.
+    /// Places a fault in the unpacked content of the file.
     pub(crate) fn unpacked(self) -> Self {
         match self.location {
             Location::File => self,
@@ -197,7 +197,7 @@ impl Fault {
         &self.location
     }
 
-    /// Where, what was expected and what was found.
+    /// Splits into place, expectation and finding.
     pub(crate) fn into_parts(self) -> (Location, String, String) {
         (self.location, self.expected, self.found)
     }
@@ -215,7 +215,7 @@ impl From<SceneError> for Fault {
     }
 }
 
-/// Reads JSON that stands at `offset` of a file. Faults of the text have a byte, those of values a pointer.
+/// Parses JSON located at `offset` of a file. Syntax faults have a byte offset, faults of values a pointer.
 pub(crate) fn from_json<T: DeserializeOwned>(json: &[u8], offset: usize, expected: &str) -> Result<T, Fault> {
     let mut text = serde_json::Deserializer::from_slice(json);
     let value = serde_path_to_error::deserialize(&mut text).map_err(|e| {
@@ -231,18 +231,18 @@ pub(crate) fn from_json<T: DeserializeOwned>(json: &[u8], offset: usize, expecte
 fn in_text(error: &serde_json::Error, json: &[u8], offset: usize, expected: &str) -> Fault {
     let lines = json.split_inclusive(|&b| b == b'\n').take(error.line().max(1) - 1);
     let line_start: usize = lines.map(<[u8]>::len).sum();
-    // Columns are counted from 1, but for that of the end.
+    // Columns are counted from 1, except at the end of the text.
     let column = if error.is_eof() { error.column() } else { error.column().saturating_sub(1) };
     Fault::byte(offset + line_start + column, expected, error.to_string())
 }
 
-/// A value of JSON, which stands at a pointer of the document, as a type.
+/// Converts a JSON value, located at pointer `at` of the document, to a type.
 pub(crate) fn from_value<T: DeserializeOwned>(value: &Value, at: &str, expected: &str) -> Result<T, Fault> {
     serde_path_to_error::deserialize(value)
         .map_err(|e| Fault::pointer(format!("{at}{}", pointer(e.path())), expected, e.inner().to_string()))
 }
 
-/// RFC 6901, as far as the path is known; empty for the whole.
+/// JSON pointer (RFC 6901) as far as the path is known; empty for the whole document.
 fn pointer(path: &serde_path_to_error::Path) -> String {
     use serde_path_to_error::Segment;
     let token = |segment: &Segment| match segment {
@@ -253,7 +253,7 @@ fn pointer(path: &serde_path_to_error::Path) -> String {
     path.iter().map_while(token).collect()
 }
 
-/// Text in one line, what would move the cursor of a terminal escaped: names and messages hold what files say.
+/// Single-line form of a text, with control characters escaped: names and messages may quote file content.
 #[must_use]
 pub fn one_line(text: &str) -> Cow<'_, str> {
     if !text.contains(char::is_control) {
@@ -263,7 +263,7 @@ pub fn one_line(text: &str) -> Cow<'_, str> {
     text.chars().map(escaped).collect::<String>().into()
 }
 
-/// Text of a file as it may stand in a message: short, in one line.
+/// Short single-line form of text from a file, for use in a message.
 pub(crate) fn shown(text: &[u8]) -> String {
     const MOST: usize = 60;
     let text = String::from_utf8_lossy(&text[..text.len().min(4 * MOST)]);
@@ -305,7 +305,7 @@ fn folder_in_words(path: &Path) -> String {
 /// The file, to be read piece by piece.
 pub(crate) fn open_file(path: &Path) -> Result<BufReader<std::fs::File>, FormatError> {
     let failed = |source| FormatError::Read { file: path.to_owned(), source };
-    // Before it is opened, which of a pipe waits for somebody to write.
+    // Checked before opening, because opening a pipe waits for a writer.
     let kind = path.metadata().map_err(failed)?.file_type();
     if kind.is_dir() {
         return Err(Fault::whole("a file", folder_in_words(path)).in_file(path));

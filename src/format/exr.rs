@@ -1,4 +1,5 @@
-//! `OpenEXR`: pictures of any number of named channels with what is needed to read them rightly, and maps.
+//! `OpenEXR` writer for images with any number of named channels, and for maps, including the metadata needed to
+//! interpret them.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -13,7 +14,7 @@ use super::error::Fault;
 use super::{FormatError, atomic_write};
 use crate::scene::{ColorSpace, Intrinsics, Texture};
 
-/// How samples are stored.
+/// Sample type of stored channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SampleType {
     /// 32 bits.
@@ -23,53 +24,55 @@ pub enum SampleType {
     Half,
 }
 
-/// Lossless compressions.
+/// Lossless compression methods.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ExrCompression {
-    /// Deflate in blocks of 16 lines: what every program reads.
+    /// Deflate in blocks of 16 lines, which every program reads.
     #[default]
     Zip,
-    /// Wavelets: smaller where pictures are noisy.
+    /// Wavelets; smaller for noisy images.
     Piz,
 }
 
-/// One channel of a picture.
+/// Channel of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// Its name: `R`, `splats.R`, `Z`; of Latin-1 letters, as EXR has them.
+    /// Name of the channel: `R`, `splats.R`, `Z`; in Latin-1, as EXR requires.
     pub name: String,
-    /// `[height·width]`, row-major from the top.
+    /// Samples `[height·width]`, row-major from the top.
     pub values: Vec<f32>,
-    /// Depths and counts, which 16 bits are too few for.
+    /// Whether the channel needs more than 16 bits, as depths and counts do.
     pub precise: bool,
 }
 
-/// What the header says besides the size.
+/// Content of the header besides the size.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExrHeader {
-    /// Space of the colour channels. Rec. 709 primaries in either.
+    /// Colour space of the colour channels. Rec. 709 primaries in either case.
     pub color_space: ColorSpace,
     /// Width of a pixel over its height, see [`pixel_aspect`].
     pub pixel_aspect: f32,
-    /// A sentence or two for whoever opens the file.
+    /// Comment of a sentence or two for whoever opens the file.
     pub comment: String,
-    /// How samples are stored.
+    /// Sample type.
     pub samples: SampleType,
-    /// How they are compressed.
+    /// Compression method.
     pub compression: ExrCompression,
 }
 
-/// Width over height of a camera's pixels: focal lengths are in pixels, so that of the narrower side is the longer one.
+/// Pixel aspect ratio (width over height) of a camera: focal lengths are in pixels, so that the narrower side of a
+/// pixel has the larger one.
 #[must_use]
 pub fn pixel_aspect(k: &Intrinsics) -> f32 {
     (k.fy / k.fx) as f32
 }
 
-/// Writes `channels` as one part. `colorSpace` in the header is `lin_rec709_display` or `srgb_rec709_display`; the standard
-/// attribute `chromaticities` says Rec. 709. A header of an sRGB-encoded picture is needed since EXR is taken for linear.
+/// Writes `channels` as a single-part file. `colorSpace` in the header is `lin_rec709_display` or
+/// `srgb_rec709_display`; the standard attribute `chromaticities` states Rec. 709. The header entry is needed for
+/// sRGB-encoded images, because EXR is assumed to be linear.
 ///
 /// # Errors
-/// If the file cannot be written, there is no pixel or no channel, or the name of one has letters beyond Latin-1 or is that of another.
+/// If the file cannot be written, there is no pixel or no channel, or a channel's name is not Latin-1 or not unique.
 ///
 /// # Panics
 /// If a channel has another length than `width`·`height`.
@@ -110,8 +113,8 @@ pub fn write_exr(
     atomic_write(path, &bytes(&image).map_err(failed)?)
 }
 
-/// A file whose channel `names[i]` holds channel `first + i` of `map`, as 32-bit floats. Rows as in the map, the first at the
-/// top.
+/// Encodes a file whose channel `names[i]` holds channel `first + i` of `map`, as 32-bit floats. Rows as in the map,
+/// the first at the top.
 pub(super) fn encode(map: &Texture, first: usize, names: &[impl AsRef<str>]) -> Result<Vec<u8>, String> {
     let channels = map.channels() as usize;
     let plane = |c: usize| map.texels().iter().skip(c).step_by(channels).copied().collect();
@@ -119,7 +122,8 @@ pub(super) fn encode(map: &Texture, first: usize, names: &[impl AsRef<str>]) -> 
         |(i, name): (usize, &_)| AnyChannel::new(AsRef::<str>::as_ref(name), FlatSamples::F32(plane(first + i)));
     let planes = AnyChannels::sort(names.iter().enumerate().map(named).collect());
     let size = (map.width() as usize, map.height() as usize);
-    // Without an order of its own, tiles stand as threads end, and a map written twice is two files.
+    // Without a fixed line order, tiles are written in the order in which threads finish, and encoding would not be
+    // reproducible.
     let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::SMALL_FAST_LOSSLESS };
     bytes(&Image::from_layer(Layer::new(size, LayerAttributes::default(), encoding, planes)))
 }

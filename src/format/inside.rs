@@ -1,11 +1,11 @@
-//! Files beside a file that names them.
+//! Files referenced by another file.
 
 use std::path::{Component, Path, PathBuf};
 
 use super::error::shown;
 
-/// The path in the system of a file in `folder` or below it; neither names nor symbolic links may lead out. On failure: what was
-/// expected, and what was found.
+/// Resolves the path of a file in or below `folder`; neither the name nor symbolic links may lead outside. On failure:
+/// expectation and finding.
 pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, String)> {
     let found = || shown(name.as_bytes());
     let refused = || ("a path inside the folder of the file".to_owned(), found());
@@ -13,7 +13,7 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, Stri
     if name.is_empty() || name.contains(['\\', ':']) || !Path::new(name).components().all(stays) {
         return Err(refused());
     }
-    // That of a bare name is empty.
+    // The parent of a bare name is the empty path.
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let real =
         |path: &Path| path.canonicalize().map_err(|e| ("a readable file".to_owned(), format!("{} ({e})", found())));
@@ -22,7 +22,7 @@ pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, (String, Stri
     if !path.starts_with(&folder) {
         return Err(refused());
     }
-    // A pipe would never open, or never end.
+    // Opening or reading a pipe might never end.
     if !path.is_file() {
         return Err(("a file".to_owned(), format!("{}, which is none", found())));
     }

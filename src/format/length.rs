@@ -1,4 +1,4 @@
-//! How many bytes a scene takes where it is stored.
+//! Stored size of a scene.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use super::error::file_bytes;
 use super::gltf::{self, Asset};
 use super::{FormatError, Kind, kind, sog, usd};
 
-/// Length of a scene file, and of the files beside it that it consists of: buffers and images of a glTF, maps and pictures
-/// of a USD layer, images of a SOG that is a folder, and of one in levels of detail all folders. Each counts once, and those
-/// that are not there do not.
+/// Total length in bytes of a scene file and of the files that belong to it: buffers and images of a glTF, maps and
+/// images of a USD layer, images of a SOG folder, and all folders of a SOG with levels of detail. Each file counts
+/// once; missing files do not count.
 ///
 /// # Errors
-/// If the file cannot be read, is no scene, or does not say which files these are.
+/// If the file cannot be read, is not a scene, or does not determine its files.
 pub fn stored_bytes(path: &Path) -> Result<u64, FormatError> {
     let own = file_bytes(path)?;
     Ok(match kind(path)? {

@@ -1,4 +1,4 @@
-//! What a written file does not hold of the scene that it was made from.
+//! Loss report: content of a scene that is missing from the file written from it.
 
 use std::fmt;
 
@@ -10,76 +10,77 @@ use super::error::one_line;
 use super::splat_record::SplatRecord;
 use crate::scene::{Splats, sh};
 
-/// What a writer did.
+/// Result of writing a file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct WriteReport {
-    /// Length of the file and of those beside it.
+    /// Total length in bytes of the file and its accompanying files.
     pub bytes: u64,
-    /// What did not get into it.
+    /// Content that was not written.
     pub loss: Loss,
-    /// Names of the files beside it, without which it is not whole.
+    /// Names of accompanying files, without which the file is incomplete.
     pub beside: Vec<String>,
-    /// How what the program shows that the file is for differs from what Centaur shows, one sentence each.
+    /// Differences between the image shown by the target program and that shown by Centaur, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// What a reader of the written file cannot get back. Measured on what was written, not derived from the format.
+/// Content that a reader of the written file cannot recover. Measured on what was written, not derived from the format.
 ///
-/// `Display` gives one line: the parts that are lost, separated by `; `, or `nothing`; rounding is nothing, see [`Loss::is_rounding`].
+/// `Display` gives one line: the lost parts, separated by `; `, or `nothing`; rounding counts as nothing, see
+/// [`Loss::is_rounding`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Loss {
     /// Number of meshes left out.
     pub meshes: usize,
     /// Number of cameras left out.
     pub cameras: usize,
-    /// True if the rule of blending (order, λ, background, colour space, pixel filter) is left out.
+    /// Whether the composition (order, λ, background, colour space, pixel filter) is left out.
     pub composition: bool,
-    /// Names of what else was known of every splat, and is left out.
+    /// Names of the per-splat attributes that are left out.
     pub attributes: Vec<String>,
-    /// True if what is known of how the scene was made is left out, see [`super::SceneFile::record`].
+    /// Whether the record of how the scene was made is left out, see [`super::SceneFile::record`].
     pub record: bool,
-    /// What else the document had that the scene was read from: animations, extensions, extras.
+    /// Further content of the source document that is lost: animations, extensions, extras.
     pub document: Vec<String>,
-    /// SH degree of the scene and that of the file, where bands are left out.
+    /// SH degrees of the scene and of the file, if bands are left out.
     pub sh_degree: Option<[u32; 2]>,
-    /// Largest differences between the splats and what the file says of them.
+    /// Largest differences between the splats and the stored ones.
     pub max_error: SplatError,
 }
 
-/// Largest absolute difference per attribute, over all splats.
+/// Largest absolute error per attribute, over all splats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SplatError {
-    /// Along x, y or z, in scene units.
+    /// Error of the mean along x, y or z, in scene units.
     pub mean: f32,
-    /// Angle between the orientations, in degrees. Half a turn about an axis of the splat is none; for round splats no
-    /// angle has an effect.
+    /// Angle between the orientations, in degrees. Half turns about the splat's axes count as zero; for round splats
+    /// the angle has no effect.
     pub rotation: f32,
-    /// Of the natural logarithm of a standard deviation: 0.01 is 1 % in size. Standard deviations below 10⁻⁸ count as
-    /// 10⁻⁸.
+    /// Error of the natural logarithm of a standard deviation: 0.01 is 1 % in size. Standard deviations below 10⁻⁸
+    /// count as 10⁻⁸.
     pub log_scale: f32,
-    /// In 0..1.
+    /// Error of the opacity, 0 to 1.
     pub opacity: f32,
-    /// Of the colour of SH coefficient 0 alone, `0.5 + C0·dc`, not clamped: 1 is the full range of display.
+    /// Error of the colour of SH coefficient 0 alone, `0.5 + C0·dc`, not clamped: 1 is the full display range.
     pub color: f32,
-    /// Of an SH coefficient of the bands that both have.
+    /// Error of an SH coefficient, over the bands that both have.
     pub sh: f32,
 }
 
 impl Loss {
-    /// True if a reader gets back everything, to the last bit of the parameters of the splats.
+    /// Whether a reader recovers everything, splat parameters bit for bit.
     #[must_use]
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 
-    /// True if nothing of the scene is lost but what comes of rounding to f32: a scale or an opacity instead of its logarithm or
-    /// logit, a quaternion normalised once more. How it was made is no part of it.
+    /// Whether the only loss of the scene is f32 rounding: of storing a scale or opacity instead of its logarithm or
+    /// logit, or of normalising a quaternion again. The record of how the scene was made is disregarded.
     #[must_use]
     pub fn is_rounding(&self) -> bool {
         Self { max_error: self.max_error.beyond_rounding(), record: false, ..self.clone() }.is_none()
     }
 
-    /// That of splats which are written as `after`, splat by splat in the same order.
+    /// Loss of splats that are written as `after`, splat by splat in the same order.
     ///
     /// # Panics
     /// If the numbers of splats differ.
@@ -142,9 +143,10 @@ impl fmt::Display for Loss {
 }
 
 impl SplatError {
-    /// Without what comes of storing a scale or an opacity instead of its logarithm or logit, or of normalising a quaternion once more.
+    /// Error beyond rounding: without the error due to storing a scale or opacity instead of its logarithm or logit, or
+    /// to normalising a quaternion again.
     fn beyond_rounding(self) -> Self {
-        // Half a unit in the last place of a logarithm of 87 is 4e-6, of an opacity 3e-8; of a quaternion 1e-5°.
+        // Half a unit in the last place of a logarithm of 87 is 4e-6, of an opacity 3e-8; for a quaternion it is 1e-5°.
         let beyond = |error: f32, rounding: f32| if error <= rounding { 0.0 } else { error };
         Self {
             rotation: beyond(self.rotation, 1e-4),
@@ -154,7 +156,7 @@ impl SplatError {
         }
     }
 
-    /// Takes the larger of both, attribute by attribute.
+    /// Larger of both errors, per attribute.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
         Self {
@@ -167,7 +169,7 @@ impl SplatError {
         }
     }
 
-    /// Takes in the differences of one splat. Coefficients are compared where both have them.
+    /// Includes the error of one splat. SH coefficients are compared where both have them.
     pub(super) fn include(&mut self, before: &SplatRecord, after: &SplatRecord) {
         let widest = |a: [f32; 3], b: [f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
         let floored = |log_scale: Vec3| log_scale.max(Vec3::splat(LEAST_LOG_SCALE));
@@ -182,11 +184,12 @@ impl SplatError {
     }
 }
 
-/// ln 10⁻⁸. A splat that thin is a disc to every renderer (they widen it by 0.3 px), and 0 is how some write it.
+/// ln 10⁻⁸. Every renderer shows thinner splats as discs (projections are widened by 0.3 px), and some programs write 0
+/// for them.
 const LEAST_LOG_SCALE: f32 = -18.420_68;
 
-/// Angle of the rotation between two orientations of a splat, which half a turn about one of its axes does not change. By the
-/// chord, which is exact where the cosine has lost all digits.
+/// Angle of the rotation between two orientations of a splat, modulo half turns about its axes. Computed from the
+/// chord, which is accurate where the cosine has lost all digits.
 fn degrees_between(a: Quat, b: Quat) -> f32 {
     let (a, b) = (a.as_dquat().normalize(), b.as_dquat().normalize());
     let half_turns = [DQuat::IDENTITY, I, J, K].into_iter();

@@ -1,27 +1,28 @@
-//! How much memory the maps of a file may take: pictures of one colour are stored in next to nothing, and many surfaces may share one.
+//! Limit on the memory of a file's maps: images of one colour are stored in almost no bytes, and many surfaces may
+//! share one.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hasher as _};
 
-/// Bytes of maps that a stored byte may become, above what any file may: four floats for each of the pixels, of which a PNG
-/// holds up to a thousand in a byte.
+/// Bytes of maps allowed per stored byte, beyond the amount that any file may use (`ALWAYS`): four floats per pixel, of
+/// which a PNG holds up to a thousand in a byte.
 pub(super) const MAX_RATIO: u64 = 16384;
 pub(super) const ALWAYS: u64 = 1 << 30;
 
-/// What was expected, and what was found.
+/// Expectation and finding.
 type Mismatch = (String, String);
 
-/// An encoded picture: hash and length.
+/// Identity of an encoded image: hash and length.
 pub(super) type Identity = (u64, u64);
 
-/// That of a file.
+/// Identity of an encoded image.
 pub(super) fn identity(encoded: &[u8]) -> Identity {
     let mut hasher = DefaultHasher::new();
     hasher.write(encoded);
     (hasher.finish(), encoded.len() as u64)
 }
 
-/// Bytes of maps so far, and what they come from.
+/// Bytes of maps so far, and the stored bytes from which they come.
 pub(super) struct MapBudget {
     bytes: u64,
     stored: u64,
@@ -29,22 +30,22 @@ pub(super) struct MapBudget {
 }
 
 impl MapBudget {
-    /// `stored`: bytes besides pictures that maps come from.
+    /// Creates the budget; `stored`: bytes from which maps come, besides images.
     pub(super) fn new(stored: u64) -> Self {
         Self { bytes: 0, stored, images: HashMap::new() }
     }
 
-    /// That of one picture alone.
+    /// Budget of a single image.
     pub(super) fn of(encoded: &[u8]) -> Self {
         Self::new(encoded.len() as u64)
     }
 
-    /// Takes in a picture that maps come from, however often, once.
+    /// Includes an image from which maps come; repeated images count once.
     pub(super) fn include(&mut self, image: Identity) {
         self.images.extend([image]);
     }
 
-    /// Counts a map of so many floats before it is made, or refuses it.
+    /// Reserves a map of `floats` floats before it is allocated, or refuses it.
     pub(super) fn spend(&mut self, floats: u64) -> Result<(), Mismatch> {
         self.bytes = self.bytes.saturating_add(floats.saturating_mul(4));
         let images: u64 = self.images.values().sum();

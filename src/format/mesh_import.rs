@@ -1,4 +1,5 @@
-//! Triangle meshes from other programs, for `--mesh FILE`: geometry and UVs; materials are what gets optimised.
+//! Import of triangle meshes from other programs, for `--mesh FILE`: geometry and UVs, but no materials, which training
+//! replaces.
 
 mod obj;
 
@@ -15,26 +16,26 @@ use super::gltf::{Asset, Motion, Poses, not_placed, placements};
 use super::ply::{is_of_splats, table};
 use super::{has_extension, polygon};
 
-/// A mesh without maps.
+/// Imported mesh without maps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportedMesh {
-    /// Positions `[V]`, in the file's frame (the capture's for files that Centaur wrote). No two are equal: what is
-    /// joined in space is joined here, and seams are a matter of `corner_uvs`.
+    /// Positions `[V]`, in the file's frame (the capture's for files that Centaur wrote). All positions are distinct:
+    /// vertices at the same place are welded, and seams are expressed by `corner_uvs` only.
     pub positions: Vec<Vec3>,
     /// Indices `[F]`; at least one triangle, and no triangle has the same vertex twice.
     pub triangles: Vec<[u32; 3]>,
-    /// UVs `[F]` of the corners, v downwards, in 0..1; those that leave this square are scaled into it, evenly, so that
-    /// repeats of a tile get texels of their own. `None` if part of the mesh has none that are finite, or if they belong to
-    /// several materials: then they are not one atlas.
+    /// UVs `[F]` of the corners, v downwards, in 0..1; UVs outside this square are scaled into it uniformly, so that
+    /// repeats of a tile get texels of their own. `None` if part of the mesh has no finite UVs, or if they belong to
+    /// several materials and so do not form one atlas.
     pub corner_uvs: Option<Vec<[Vec2; 3]>>,
-    /// What of the file is not here, or not as it is there, UVs above all, one sentence each.
+    /// Notes on content of the file that is missing or changed, mainly UVs, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// Reads a mesh; told apart by content, and by extension for `.obj`.
+/// Reads a mesh; the format is recognised by content, or by extension for `.obj`.
 ///
-/// * `.glb`, `.gltf`: all triangle primitives of the default scene, where their nodes put them, with their copies; skins and
-///   morph targets in rest pose.
+/// * `.glb`, `.gltf`: all triangle primitives of the default scene, transformed by their nodes, including instances;
+///   skins and morph targets in rest pose.
 /// * `.obj`: all faces; polygons are cut into triangles.
 /// * `.ply`: ASCII or binary, `face` lists; UVs per face (`texcoord`) or per vertex (`s t`, `u v`, `texture_u texture_v`).
 ///
@@ -57,24 +58,25 @@ pub fn read(path: &Path) -> Result<ImportedMesh, FormatError> {
     soup.and_then(Soup::finish).map_err(|fault| fault.in_file(path))
 }
 
-/// Triangles as they come.
+/// Triangles as read, before welding.
 #[derive(Default)]
 struct Soup {
     positions: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
-    /// As long as `triangles`; `None` for those without UVs.
+    /// Per triangle, its UVs; `None` for triangles without UVs.
     corner_uvs: Vec<Option<[Vec2; 3]>>,
     materials: BTreeSet<Option<usize>>,
-    /// Vertices that are not finite, in order, and where they stand: no triangle may have them.
+    /// Non-finite vertices, in order, with their places in the file: no triangle may use them.
     unusable: Vec<(u32, Location)>,
-    /// Where triangles should have been.
+    /// Place in the file where triangles were expected.
     faces: Option<Location>,
-    /// What there is to say of them.
+    /// Notes on the triangles.
     notes: Vec<String>,
 }
 
 impl Soup {
-    /// Appends one part whose indices count from its own first position. `place` is that of one of its vertices.
+    /// Appends one part whose indices count from its own first position. `place` gives the place in the file of one of
+    /// its vertices.
     fn add(
         &mut self,
         positions: impl IntoIterator<Item = Vec3>,
@@ -99,14 +101,14 @@ impl Soup {
         Ok(())
     }
 
-    /// Appends a primitive of glTF that stands at a JSON pointer.
+    /// Appends a glTF primitive at a JSON pointer.
     fn add_primitive(&mut self, t: Triangles, material: Option<usize>, at: &str) -> Result<(), Fault> {
         let Triangles { positions, triangles, uvs, .. } = t;
         let uvs = uvs.map(|uvs| triangles.iter().map(|t| Some(t.map(|v| uvs[v as usize]))).collect());
         self.add(positions, &triangles, uvs, material, |_| Location::Pointer(at.to_owned()))
     }
 
-    /// The UVs, if they are one atlas, and what there is to say if they are not, or not as they were.
+    /// UVs, if they form one atlas, and a note if they do not or were changed.
     fn atlas(&self) -> (Option<Vec<[Vec2; 3]>>, Option<String>) {
         let mut uvs: Vec<[Vec2; 3]> = self.corner_uvs.iter().flatten().copied().collect();
         let (all, given, materials) = (self.triangles.len(), uvs.len(), self.materials.len());
@@ -169,7 +171,7 @@ impl Soup {
     }
 }
 
-/// Scales UVs that leave 0..1 into it, and says so.
+/// Scales UVs outside 0..1 into that square, and returns a note if it did.
 fn scale_into_square(uvs: &mut [Vec2]) -> Option<String> {
     let low = uvs.iter().copied().fold(Vec2::ZERO, Vec2::min).as_dvec2();
     let high = uvs.iter().copied().fold(Vec2::ONE, Vec2::max).as_dvec2();
@@ -185,7 +187,7 @@ fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
     let faces = Some(Location::Pointer("/meshes".to_owned()));
     let mut soup = Soup { faces, notes: not_placed(asset)?, ..Soup::default() };
-    // As it rests.
+    // Rest pose.
     let motion = Motion::default();
     let mut poses = Poses::new(&asset.document, &motion)?;
     let single = Single::of(&asset.root);
@@ -244,14 +246,14 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
     let corners =
         corners.ok_or_else(|| Fault::byte(face.at, "the face property `vertex_indices`", "a header without it"))?;
     let face_uvs = face.list("texcoord");
-    // Which of several textures a face has its UVs on.
+    // Column with the index of the texture to which a face's UVs refer.
     let of_texture = face.scalars(["texnumber"]).ok().filter(|_| face_uvs.is_some());
     let (triangles, uvs, textures) = body.rows(
         &header,
         "face",
         |n| (Vec::with_capacity(n), vec![], BTreeSet::new()),
         |(triangles, uvs, textures), row| {
-            // Of none it is −1.
+            // −1 means no texture.
             let texture = of_texture.map(|[column]| row.values[column]).filter(|&number| number >= 0.0);
             textures.insert(texture.map(|number| number as usize));
             let polygon = &row.lists[corners];
@@ -261,7 +263,7 @@ fn from_ply(bytes: &[u8]) -> Result<Soup, Fault> {
             }
             let texcoords = face_uvs.map_or(&[][..], |column| &row.lists[column]);
             let has_own = texcoords.len() == 2 * polygon.len();
-            // PLY has v upwards, as the programs do that write UVs into it.
+            // PLY has v upwards by convention of the programs that write UVs.
             let own = |corner: usize| Vec2::new(texcoords[2 * corner] as f32, 1.0 - texcoords[2 * corner + 1] as f32);
             let outline: Vec<Vec3> = polygon.iter().map(|&v| positions[v as usize]).collect();
             for triangle in polygon::triangles(&outline) {

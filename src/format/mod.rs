@@ -1,5 +1,5 @@
-//! File formats: what is written to and read from disk. Readers check everything and name file, place, expectation
-//! and finding; writers go through a temporary file, so that nothing half-written is ever seen.
+//! Reading and writing of scene files in all supported formats. Readers check everything and report file, place,
+//! expectation and finding; writers use a temporary file, so that no incomplete file is ever visible.
 
 mod activation;
 mod archive;
@@ -54,19 +54,20 @@ pub use validate::{Finding, Severity, Validation, validate};
 use crate::atomic;
 use crate::scene::{HybridScene, PixelFilter, Splats};
 
-/// Bytes of pixels a byte of an image can stand for at most. Deflate reaches 1032, of which each is 8 pixels of 1 bit, or 24 bytes of a
-/// palette's colours: 24,768. A progressive JPEG of one colour has about 1000 (one bit per 8×8 block). Memory is not reserved on the word of a
-/// header that claims more.
+/// Upper bound on the bytes of pixels per stored byte of an image. Deflate reaches 1032, each of which is 8 one-bit
+/// pixels, or 24 bytes of palette colours: 24,768. A progressive JPEG of a single colour reaches about 1000 (one bit
+/// per 8×8 block). No memory is reserved for headers that claim more.
 pub(crate) const MAX_PIXEL_RATIO: u64 = 1 << 15;
 
-/// Bytes that an image may unpack to besides its pixels, as a colour profile, of which nothing is used; the `png` crate has the same by itself.
+/// Bytes besides its pixels to which an image may unpack, such as an (unused) colour profile; same as the `png` crate's
+/// own limit.
 pub(crate) const MAX_BESIDE_PIXELS: u64 = 64 << 20;
 
-/// Image height given to cameras that do not state one.
+/// Image height assigned to cameras that do not state one.
 const DEFAULT_HEIGHT: u32 = 1080;
 
-/// Writes `bytes` to `path` by way of a temporary file in the same folder, so that `path` holds either its former
-/// content or all of the new one.
+/// Writes `bytes` to `path` via a temporary file in the same folder, so that `path` holds either its former content or
+/// all of the new one.
 ///
 /// # Errors
 /// If the folder does not exist or cannot be written to.
@@ -74,7 +75,7 @@ pub fn atomic_write(path: &Path, bytes: &[u8]) -> Result<(), FormatError> {
     atomic_write_with(path, |out| out.write_all(bytes)).map(drop)
 }
 
-/// As [`atomic_write`], for content that is produced piecemeal. Returns the number of bytes written.
+/// Same as [`atomic_write`], for content produced piecewise. Returns the number of bytes written.
 ///
 /// # Errors
 /// If the folder does not exist or cannot be written to, or `produce` fails.
@@ -85,13 +86,13 @@ pub fn atomic_write_with(
     atomic::write_with(path, produce).map_err(|source| FormatError::Write { file: path.to_owned(), source })
 }
 
-/// Whether the name of a file ends in one of `extensions` (without dot), in any case.
+/// Whether the extension of a file name is one of `extensions` (without dot), ignoring case.
 #[must_use]
 pub fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|own| extensions.iter().any(|extension| own.eq_ignore_ascii_case(extension)))
 }
 
-/// What a file is: by its first bytes, and by its extension where a format has no mark of its own.
+/// File format, recognised by the first bytes, or by the extension where a format has no signature.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Gltf,
@@ -104,7 +105,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// For people.
+    /// Display name of the format.
     fn name(self) -> &'static str {
         match self {
             Self::Gltf => "glTF",
@@ -118,14 +119,15 @@ impl Kind {
     }
 }
 
-/// Splats of a format that says something more of them.
+/// Splats of a format that carries further information about them.
 #[derive(Clone, Debug)]
 pub struct NotedSplats {
     /// The splats.
     pub splats: Splats,
-    /// What they were trained to be seen with: [`PixelFilter::NORMALIZED_DILATION`] where the file says *antialiased*.
+    /// Pixel filter with which the splats were trained: [`PixelFilter::NORMALIZED_DILATION`] where the file says
+    /// *antialiased*.
     pub pixel_filter: PixelFilter,
-    /// What could not be taken over, one sentence each.
+    /// Notes on content that could not be represented, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -136,9 +138,9 @@ impl NotedSplats {
     }
 }
 
-/// Reads a hybrid scene from a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, or splats alone from a `.ply` (INRIA or compressed), `.sog`, `.spz`,
-/// `.splat` or `.ksplat`. They are told by their content; the last two, which have no mark of their
-/// own, and the `meta.json` or `lod-meta.json` of a SOG that is a folder by the file's name.
+/// Reads a hybrid scene from a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, or splats alone from a `.ply` (INRIA
+/// or compressed), `.sog`, `.spz`, `.splat` or `.ksplat`. Formats are recognised by content; `.splat` and `.ksplat`,
+/// which have no signature, and the `meta.json` or `lod-meta.json` of a SOG folder are recognised by the file name.
 ///
 /// The scene is in the frame of captures: x to the right, y down, z forward, as OpenCV's cameras have it. glTF and USD of other programs,
 /// which are y up, are turned half about x ([`OPENGL_FROM_OPENCV`](crate::scene::frame::OPENGL_FROM_OPENCV));
@@ -156,7 +158,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     use std::io::Read as _;
     let failed = |source| FormatError::Read { file: path.to_owned(), source };
     let mut start = vec![];
-    // Enough to see past the white space with which JSON may begin.
+    // Enough bytes to get past white space at the start of JSON.
     error::open_file(path)?.take(256).read_to_end(&mut start).map_err(failed)?;
     let first = start.iter().find(|b| !b.is_ascii_whitespace());
     if start.starts_with(b"glTF") {
@@ -168,7 +170,7 @@ fn kind(path: &Path) -> Result<Kind, FormatError> {
     } else if sog::is_named(path) || start.starts_with(b"PK\x03\x04") {
         Ok(Kind::Sog)
     } else if start.starts_with(b"NGSP") || start.starts_with(&[0x1f, 0x8b, 8]) {
-        // gzip of something else says so when it is opened.
+        // If the gzip stream holds something else, opening it will report so.
         Ok(Kind::Spz)
     } else if has_extension(path, &["splat"]) {
         Ok(Kind::Splat)

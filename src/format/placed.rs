@@ -1,4 +1,4 @@
-//! What lies below nodes with transforms, brought into one world: the same for glTF and USD.
+//! Transformation of the content below nodes into one world frame, shared by glTF and USD.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -10,10 +10,10 @@ use crate::scene::frame::{HALF_TURN, OPENGL_FROM_OPENCV};
 pub(super) use crate::scene::placement::{Decomposed, orthogonal, similarity, turned};
 use crate::scene::{Atlas, HybridScene, Mesh, SceneError, SplatArrays, Splats, placement};
 
-/// Moves splats to where a node puts them: means, scales, rotations and spherical harmonics.
+/// Transforms splats by a node's world transform: means, scales, rotations and spherical harmonics.
 ///
 /// # Errors
-/// At `at`, if the transform leaves them no extent along an axis.
+/// Reported at `at`, if the transform leaves the splats no extent along an axis.
 pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Result<(), Fault> {
     let all = 0..splats.means.len();
     if placement::place(splats, all, transform) {
@@ -22,7 +22,8 @@ pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Res
     Err(Fault::pointer(at, "a transform with an inverse above splats", "one without"))
 }
 
-/// All parts as one, at the highest degree among them, with where each is from: a JSON pointer, or the path of a prim.
+/// Joins parts into one set of splats, at the highest SH degree among them. Each part comes with its origin: a JSON
+/// pointer, or the path of a prim.
 pub(super) fn join(parts: Vec<(String, SplatArrays)>) -> Result<Splats, Fault> {
     let places: Vec<(usize, String)> = parts.iter().map(|(at, part)| (part.means.len(), at.clone())).collect();
     let degree = parts.iter().map(|(_, part)| part.sh_degree).max().unwrap_or(0);

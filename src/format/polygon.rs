@@ -1,29 +1,30 @@
-//! Polygons cut into triangles, and what of their points these use.
+//! Triangulation of polygons, and selection of used vertices.
 
 use std::collections::{HashMap, HashSet};
 
 use glam::{DVec3, Vec3};
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation as _};
 
-/// How much of a polygon's area a triangle of its fan may have turned over: rounding does that where corners are in a line.
+/// Largest inverted area of a triangle of a fan, relative to the polygon's area: rounding inverts triangles whose
+/// corners are collinear.
 const ROUNDING: f64 = 1e-6;
 
-/// The triangles of a polygon, wound as it is, as places among its corners; none of fewer than three. It is cut into a fan about its
-/// first corner where that covers it once, as it does if it is convex, else into constrained Delaunay triangles in its plane. One whose
-/// outline crosses itself, or that has no plane, gets the fan.
+/// Triangles of a polygon, with its winding, as indices of its corners; none for fewer than three corners. A fan about
+/// the first corner where that covers the polygon once, as for convex ones; otherwise constrained Delaunay triangles in
+/// the polygon's plane. Polygons that intersect themselves or have no plane also get the fan.
 pub(super) fn triangles(corners: &[Vec3]) -> Vec<[usize; 3]> {
     let fan: Vec<[usize; 3]> = (2..corners.len()).map(|i| [0, i - 1, i]).collect();
     let mut normals = fan.iter().map(|t| {
         let [a, b, c] = t.map(|i| corners[i].as_dvec3());
         (b - a).cross(c - a)
     });
-    // Newell's, whichever way the polygon is cut.
+    // Newell's normal, which does not depend on the triangulation.
     let normal: DVec3 = normals.clone().sum();
     let least = -ROUNDING * normal.length_squared();
     if normals.all(|n| n.dot(normal) >= least) { fan } else { within(corners, normal).unwrap_or(fan) }
 }
 
-/// Of so many vertices those that triangles use, in order, to which the triangles' indices are changed.
+/// Renumbers triangles to the vertices that they use, and returns these of the `count` vertices, in order.
 pub(super) fn used(count: usize, triangles: &mut [[u32; 3]]) -> Vec<usize> {
     let mut places = vec![None; count];
     triangles.as_flattened().iter().for_each(|&vertex| places[vertex as usize] = Some(0));
@@ -33,12 +34,13 @@ pub(super) fn used(count: usize, triangles: &mut [[u32; 3]]) -> Vec<usize> {
     kept
 }
 
-/// Constrained Delaunay triangles within an outline, as seen along its normal; `None` if it crosses itself there.
+/// Constrained Delaunay triangles within an outline, projected along its normal; `None` if the projection intersects
+/// itself.
 fn within(corners: &[Vec3], normal: DVec3) -> Option<Vec<[usize; 3]>> {
     let normal = normal.try_normalize()?;
     let u = normal.any_orthonormal_vector();
     let v = normal.cross(u);
-    // Of corners at one place, as at the ends of a slit to a hole, the first stands for all.
+    // Corners at the same place, such as the ends of a slit to a hole, are represented by the first one.
     let (mut firsts, mut known) = (vec![], HashMap::new());
     let mut vertex = |(i, p): (usize, &Vec3)| {
         *known.entry((p + 0.0).to_array().map(f32::to_bits)).or_insert_with(|| {
@@ -58,7 +60,8 @@ fn within(corners: &[Vec3], normal: DVec3) -> Option<Vec<[usize; 3]>> {
     let loaded = ConstrainedDelaunayTriangulation::<Point2<f64>>::try_bulk_load_cdt(points, sides, |_| crosses = true);
     let cdt = loaded.ok().filter(|cdt| !crosses && cdt.num_vertices() == firsts.len())?;
 
-    // From outside inwards: what is inside is entered across an odd number of sides. Both faces at a slit are reached without crossing it.
+    // Traversal from outside inwards: inside faces are reached across an odd number of sides. Both faces at a slit are
+    // reached without crossing it.
     let (mut triangles, mut reached, mut is_inside) = (vec![], HashSet::new(), false);
     let (mut beyond, mut front): (Vec<_>, Vec<_>) =
         cdt.convex_hull().map(|edge| edge.rev()).partition(|edge| edge.is_constraint_edge());

@@ -1,4 +1,4 @@
-//! What other programs show of maps: 8 bits, without view dependence.
+//! 8-bit, view-independent previews of maps, for other programs.
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
@@ -12,12 +12,12 @@ pub(super) fn color(texel: &[f32], space: ColorSpace) -> [u8; 3] {
     space.to_srgb(sh::rgb_from_dc([texel[0], texel[1], texel[2]])).map(to_byte)
 }
 
-/// Its opacity, linear.
+/// Linear opacity of a texel of a base map.
 pub(super) fn opacity(texel: &[f32]) -> u8 {
     to_byte(activation::opacity(texel[3]))
 }
 
-/// `pixels` as PNG, as wide and as high as `size`.
+/// Encodes `pixels` as PNG, with the width and height of `size`.
 pub(super) fn png(size: &Texture, pixels: &[u8], kind: ExtendedColorType) -> Vec<u8> {
     let mut png = vec![];
     PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)

@@ -1,4 +1,4 @@
-//! One reader and one writer for all formats of scenes.
+//! A common reader and writer for all scene formats.
 
 use std::path::Path;
 
@@ -20,24 +20,25 @@ use crate::scene::{Camera, Composition, HybridScene, PixelFilter, Splats, frame:
 pub struct SceneFile {
     /// Splats, meshes and composition.
     pub scene: HybridScene,
-    /// Whether the file says how splats and meshes are blended; otherwise the composition is what is usual, with as many layers as the meshes want.
+    /// Whether the file states how splats and meshes are blended; otherwise the composition is the default, with as
+    /// many layers as the meshes need.
     pub states_composition: bool,
     /// Named cameras, in the frame of the scene.
     pub cameras: Vec<(String, Camera)>,
-    /// What could not be taken over exactly, one sentence each.
+    /// Notes on content that could not be represented exactly, one sentence each.
     pub notes: Vec<String>,
     /// Whether the world of the file is y up, as those of glTF and USD are: the scene and its cameras have been turned from it by
     /// [`OPENGL_FROM_OPENCV`](crate::scene::frame::OPENGL_FROM_OPENCV), and [`write_scene`] turns them again. False of
     /// files that Centaur wrote, which come back as they were, and of formats that state no frame, which are taken to
     /// be in that of captures.
     pub y_up: bool,
-    /// What else is known of every splat.
+    /// Further per-splat attributes of the file.
     pub attributes: Vec<Attribute>,
-    /// Splats that were left out; `None` of a file whose layout [`ReadOptions::drop_invalid`] is not of.
+    /// Number of splats left out; `None` for formats to which [`ReadOptions::drop_invalid`] does not apply.
     pub dropped: Option<usize>,
-    /// The document of a glTF, which says more than a scene holds.
+    /// Document of a glTF, which contains more than the scene.
     pub source: Option<gltf::Source>,
-    /// What Centaur keeps of how the scene was made, as [`gltf::write_glb`] was given it as extras.
+    /// Centaur's record of how the scene was made, the extras given to [`gltf::write_glb`].
     pub record: Option<serde_json::Value>,
 }
 
@@ -79,52 +80,56 @@ impl SceneFile {
     }
 }
 
-/// How to read.
+/// Options of reading.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
-    /// Leave out splats with numbers that are not finite, rotations of zero or negative scales, as failed trainings write them, instead
-    /// of refusing the file. Of `.ply` that is not compressed and `.splat`; files of other formats that hold such splats
-    /// are refused.
+    /// Whether splats with non-finite numbers, zero rotations or negative scales, as written by failed trainings, are
+    /// left out instead of refusing the file. Applies to uncompressed `.ply` and to `.splat`; files of other formats
+    /// that hold such splats are refused.
     pub drop_invalid: bool,
-    /// Keep the document of a glTF in [`SceneFile::source`], so that [`write_scene`] can write it again. Its buffers stay in the
-    /// file, which is kept open: it may be replaced meanwhile, but writing into it is an error when it is used.
+    /// Whether the document of a glTF is kept in [`SceneFile::source`], so that [`write_scene`] can write it again. Its
+    /// buffers stay in the file, which is kept open: the file may be replaced meanwhile, but modifying it in place is
+    /// an error on use.
     pub keep_document: bool,
-    /// Pose the scene and its cameras as the animations of a glTF have them at this time, in seconds; `None`: as they rest.
+    /// Time in seconds at which the animations of a glTF pose the scene and its cameras; `None`: rest pose.
     pub time: Option<f64>,
-    /// Only these animations of a glTF, by their names, or numbers from 0 where no name is meant; empty: all, played together.
+    /// Animations of a glTF to play, by name, or by index from 0 where no name matches; empty: all, played together.
     pub animations: &'a [String],
 }
 
-/// What is written besides the scene.
+/// Options of writing, and content to be written besides the scene.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WriteOptions<'a> {
     /// Named cameras, in the frame of the scene.
     pub cameras: &'a [(String, Camera)],
-    /// What else is known of every splat.
+    /// Further per-splat attributes.
     pub attributes: &'a [Attribute],
-    /// The document that the scene was read from: written again where it still holds, see [`gltf::Source::stands`].
+    /// Document from which the scene was read; written again if it still matches the scene, see
+    /// [`gltf::Source::stands`].
     pub source: Option<&'a gltf::Source>,
     /// How the scene was made, see [`SceneFile::record`]; glTF and USD hold it. In a `source` that stands its own record stays, and another is
     /// named as lost; where the scene is written anew, this one takes its place.
     pub record: Option<&'a serde_json::Value>,
-    /// Layout of SPZ.
+    /// SPZ layout.
     pub spz: spz::Options,
 }
 
-/// Extensions of files that [`write_scene`] writes and [`read_file`] reads. A name that ends in `.compressed.ply` asks for compressed PLY.
+/// File extensions that [`write_scene`] writes and [`read_file`] reads. A name that ends in `.compressed.ply` selects
+/// compressed PLY.
 pub const WRITABLE: &[&str] = &["glb", "gltf", "usda", "usdz", "ply", "sog", "spz", "splat", "ksplat"];
 
-/// Those of [`WRITABLE`] that hold splats alone. Of the rule of blending they state the pixel filter at most, and nothing in units of length:
-/// whoever reads them takes the default for the rest.
+/// Extensions of [`WRITABLE`] for formats that hold splats only. Of the composition these formats state at most the
+/// pixel filter, and nothing in units of length; readers take defaults for the rest.
 pub const SPLATS_ALONE: &[&str] = &["ply", "sog", "spz", "splat", "ksplat"];
 
-/// What names of files end with that [`write_scene`] writes for rendering programs, and that are not read: Mitsuba's and Blender's.
+/// File-name endings that [`write_scene`] writes for rendering programs, and that cannot be read: Mitsuba's and
+/// Blender's.
 pub const EXPORTABLE: &[&str] = &["xml", "blend.py"];
 
 /// As [`super::read_scene`], with what the file says besides; cameras are in the frame of the scene.
 ///
 /// # Errors
-/// As [`super::read_scene`], and if a time or animations are given for a file that is no glTF.
+/// Those of [`super::read_scene`], and if a time or animations are given for a file other than glTF.
 pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     let kind = kind(path)?;
     if (options.time.is_some() || !options.animations.is_empty()) && kind != Kind::Gltf {
@@ -148,7 +153,7 @@ pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, Fo
     })
 }
 
-/// Writes a scene in the format of the file's extension, one of [`WRITABLE`] and [`EXPORTABLE`] in any case.
+/// Writes a scene in the format of the file's extension, one of [`WRITABLE`] and [`EXPORTABLE`], ignoring case.
 ///
 /// The scene and its cameras are taken to be in the frame of captures, y down, as [`super::read_scene`] gives it and training makes it. glTF and
 /// USD are y up: they get it turned half about x, so that viewers show it upright. Splats alone are written as they are.
@@ -159,7 +164,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
-    // Files beside it lie where a link leads, unless that has a name of another kind.
+    // Accompanying files are placed beside the target of a symbolic link, unless that target has another extension.
     let place = atomic::place_of(path).map_err(|source| FormatError::Write { file: path.to_owned(), source })?;
     let is_alike = has_extension(&place, &[extension]);
     let path = if is_alike { &place } else { path };
@@ -209,7 +214,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
                 }));
                 (report, moving.is_some())
             };
-            // What is lost is what pictures lack: nobody reads a scene back from here.
+            // Loss means here what images lack: exports are not read back as scenes.
             let motion = source.filter(|_| !keeps_motion).map_or_else(Vec::new, gltf::Source::motion);
             return Ok(WriteReport { loss: Loss { document: motion, ..report.loss }, ..report });
         }
@@ -235,7 +240,7 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     Ok(WriteReport { loss, ..report })
 }
 
-/// What comes of storing scales and opacities instead of their logarithms and logits.
+/// Loss from storing linear scales and opacities instead of logarithms and logits.
 fn of_linear_values(splats: &Splats) -> Loss {
     let error = |i: usize| {
         let before = SplatRecord::of(splats, i);
@@ -250,8 +255,8 @@ fn of_linear_values(splats: &Splats) -> Loss {
     Loss { max_error, ..Loss::default() }
 }
 
-/// Adds what formats of splats alone leave out. Without meshes only the background, the near plane, the colour space
-/// and the pixel filter are left of the rule of blending; that these formats cannot state them matters where they are not the usual ones.
+/// Adds the loss common to splat-only formats. Without meshes, only the background, the near plane, the colour space
+/// and the pixel filter of the composition matter; their loss counts if they differ from the defaults.
 fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, extension: &str, loss: Loss) -> Loss {
     let is = &scene.composition;
     let pixel_filter = match extension {
@@ -268,12 +273,12 @@ fn beside_splats(scene: &HybridScene, options: &WriteOptions<'_>, extension: &st
     options.source.map_or(loss.clone(), |source| dropping_all(source, loss))
 }
 
-/// What was in the document and is not in the scene goes with the document.
+/// Adds the parts of the document that are not in the scene, and are lost with the document.
 fn dropping(source: &gltf::Source, loss: Loss) -> Loss {
     Loss { document: source.remainder().iter().map(ToString::to_string).collect(), ..loss }
 }
 
-/// As [`dropping`], with what only another glTF can hold.
+/// Same as [`dropping`], and adds the parts that only another glTF could hold.
 fn dropping_all(source: &gltf::Source, loss: Loss) -> Loss {
     let loss = dropping(source, loss);
     Loss { document: [loss.document, source.of_the_file()].concat(), ..loss }

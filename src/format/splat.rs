@@ -1,14 +1,15 @@
-//! `.splat`: 32 bytes per splat without a header, as antimatter15's viewer reads them.
+//! Format `.splat`: 32 bytes per splat without a header, as read by antimatter15's viewer.
 //!
-//! | bytes | what | largest error of [`write()`] |
+//! | bytes | content | largest error of [`write()`] |
 //! |---|---|---|
 //! | 0..12 | mean x, y, z, f32 | 0 |
 //! | 12..24 | standard deviations (linear), f32 | rounding of f32 |
-//! | 24..27 | red, green, blue of SH coefficient 0 in 255 steps | 1/510; what is outside of 0..1 is clipped |
+//! | 24..27 | red, green, blue of SH coefficient 0 in 255 steps | 1/510; values outside 0..1 are clipped |
 //! | 27 | opacity in 255 steps | 1/510 |
 //! | 28..32 | rotation w, x, y, z, a component c as 128 + 128·c | 1.1° |
 //!
-//! There are no further SH bands. The file cannot state its frame: as for PLY it is the scene's own, by custom y down.
+//! There are no further SH bands. The file cannot state its frame: as for PLY it is the scene's own, by convention y
+//! down.
 
 use std::io::{Read, Seek, SeekFrom, Write as _};
 use std::path::Path;
@@ -23,13 +24,14 @@ use super::{FormatError, activation, atomic_write_with};
 use crate::scene::{SceneError, SplatArrays, Splats};
 
 const BYTES: usize = 32;
-/// Splats that are encoded as one task.
+/// Number of splats encoded as one task.
 const ROWS: usize = 1 << 14;
 
 /// Reads splats. Opacities of 0 and 1 and scales of 0 become the nearest finite parameters.
 ///
 /// # Errors
-/// If the file cannot be read, its length is not a multiple of 32, or it holds values that [`Splats::new`] refuses or negative scales.
+/// If the file cannot be read, its length is not a multiple of 32, or it holds negative scales or values that
+/// [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
     Ok(read_with(path, false)?.0)
 }
@@ -59,7 +61,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     Ok(WriteReport { bytes, loss, ..WriteReport::default() })
 }
 
-/// The splats, and how many have been left out because they are invalid and `drop_invalid` is set.
+/// Reads splats, and counts those left out as invalid if `drop_invalid` is set.
 pub(super) fn read_with(path: &Path, drop_invalid: bool) -> Result<(Splats, usize), FormatError> {
     parse(open_file(path)?, drop_invalid).map_err(|fault| fault.in_file(path))
 }
@@ -75,7 +77,7 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splat
     let mut arrays = SplatArrays::with_capacity(count, 0);
     let mut dropped = 0;
     read_in_blocks(&mut file, 0, (count, BYTES), |_, rows| {
-        // Rows have the length that they are asked for.
+        // Rows always have the requested length.
         let splat = |row: &[u8]| decode(row.first_chunk().unwrap_or(&[0; BYTES]));
         if drop_invalid {
             dropped += rows.filter(|row| !arrays.push_valid(&splat(row))).count();

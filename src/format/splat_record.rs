@@ -1,4 +1,4 @@
-//! One splat at a time: what the codecs of splats have in common.
+//! Single splat: the common basis of the splat codecs.
 
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::activation;
 use crate::scene::{SplatArrays, Splats, sh};
 
-/// What a note says of splats that their file wants drawn as those of 2DGS.
+/// Note on splats whose file requests drawing as in 2DGS.
 pub(super) const SEEN_IN_3D: &str = "splats are seen as 3DGS has them";
 
 /// What to do about splats that no scene holds, in files that can be read without them.
@@ -20,7 +20,7 @@ pub(super) struct SplatRecord {
     pub(super) log_scale: Vec3,
     pub(super) opacity_logit: f32,
     pub(super) sh_degree: u32,
-    /// Only the first `(sh_degree + 1)²` have a meaning.
+    /// SH coefficients, of which only the first `(sh_degree + 1)²` are meaningful.
     pub(super) sh: [[f32; 3]; 16],
 }
 
@@ -39,7 +39,7 @@ impl SplatRecord {
         }
     }
 
-    /// Whether [`Splats::new`] would take it.
+    /// Whether [`Splats::new`] would accept the splat.
     fn is_valid(&self) -> bool {
         let length = self.rotation.as_dquat().length();
         self.mean.is_finite()
@@ -55,9 +55,9 @@ impl SplatRecord {
     }
 }
 
-/// The arrays while they are read.
+/// Arrays while being read.
 impl SplatArrays {
-    /// As [`Self::push`], unless [`Self::check`] would refuse it; true if it was taken.
+    /// Appends a splat like [`Self::push`], unless [`Self::check`] would reject it; true if it was appended.
     pub(super) fn push_valid(&mut self, record: &SplatRecord) -> bool {
         let valid = record.is_valid();
         if valid {
@@ -66,7 +66,7 @@ impl SplatArrays {
         valid
     }
 
-    /// Coefficients that `record` does not have are 0.
+    /// Appends a splat. Coefficients that `record` does not have are 0.
     pub(super) fn push(&mut self, record: &SplatRecord) {
         self.means.push(record.mean);
         self.rotations.push(record.rotation);
@@ -76,9 +76,9 @@ impl SplatArrays {
         self.sh.extend(own.take(sh::coefficients(self.sh_degree)));
     }
 
-    /// Appends `count` splats, made side by side from their numbers.
+    /// Appends `count` splats, computed in parallel from their indices.
     pub(super) fn extend(&mut self, count: usize, record: impl Fn(usize) -> SplatRecord + Sync) {
-        // Room is made for some at a time, which are then still in the cache when they are filled.
+        // Memory is extended in small portions, which are still in the cache when they are filled.
         const ROOM: usize = 1 << 14;
         for start in (0..count).step_by(ROOM) {
             self.extend_at_once(ROOM.min(count - start), |i| record(start + i));
@@ -86,7 +86,7 @@ impl SplatArrays {
     }
 
     fn extend_at_once(&mut self, count: usize, record: impl Fn(usize) -> SplatRecord + Sync) {
-        // Large against the cost of a task.
+        // Number of splats per task; large against a task's overhead.
         const PART: usize = 1 << 10;
         let (first, k) = (self.means.len(), sh::coefficients(self.sh_degree));
         self.means.resize(first + count, Vec3::ZERO);
@@ -112,27 +112,27 @@ impl SplatArrays {
     }
 }
 
-/// The nearest of `0..=levels` to `levels · x`, for x in 0..1; x outside goes to the ends.
+/// Rounds `levels · x` for x in 0..1 to the nearest of `0..=levels`; x outside is clamped.
 pub(super) fn quantize(x: f32, levels: u32) -> u32 {
     (f64::from(x.clamp(0.0, 1.0)) * f64::from(levels)).round() as u32
 }
 
-/// Opacity of a logit in 255 steps, and back.
+/// Opacity of a logit in 255 steps.
 pub(super) fn opacity_byte(logit: f32) -> u8 {
     quantize(activation::opacity(logit), 255) as u8
 }
 
-/// Inverse of [`opacity_byte`]; 0 and 255 become the logits next to −∞ and ∞ that [`activation::logit`] knows.
+/// Inverse of [`opacity_byte`]; 0 and 255 become the extreme finite logits of [`activation::logit`].
 pub(super) fn logit_of_byte(byte: u8) -> f32 {
     activation::logit(f32::from(byte) / 255.0).0
 }
 
-/// Logarithm of a scale as it is stored; NaN, which no scene holds, of a negative one.
+/// Logarithm of a stored scale; NaN, which no scene may hold, for a negative one.
 pub(super) fn log_of_scale(scale: f32) -> f32 {
     if scale < 0.0 { f32::NAN } else { activation::log_scale(scale).0 }
 }
 
-/// The displayed colour of SH coefficient 0 alone in 255 steps; what lies outside of 0..1 is clipped.
+/// Display colour of SH coefficient 0 alone in 255 steps; values outside 0..1 are clipped.
 pub(super) fn color_bytes(dc: [f32; 3]) -> [u8; 3] {
     sh::rgb_from_dc(dc).map(|c| quantize(c, 255) as u8)
 }

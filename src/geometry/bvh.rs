@@ -11,7 +11,7 @@ use obvhs::{Boundable, BvhBuildParams};
 
 use crate::scene::Mesh;
 
-/// A ray meets a triangle.
+/// Intersection of a ray with a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Ray parameter: the point is `origin + t·dir`, with `dir` as given (not normalised).
@@ -44,15 +44,16 @@ pub struct ClosestPoint {
 /// The boxes are f32, relative to the centre of the scene, in units of its radius, and padded so that rounding cannot lose a
 /// triangle; the intersections are f64 from the f32 vertices.
 pub struct MeshBvh {
-    /// Over distinct boxes: the builder takes time quadratic in those that are equal.
+    /// Tree over distinct boxes: the builder takes time quadratic in the number of equal ones.
     tree: Bvh2,
-    /// Where the triangles of each box begin, and the end.
+    /// Index of the first triangle of each box, and the end.
     starts: Vec<usize>,
-    /// In the order of their boxes.
+    /// Triangles in the order of their boxes.
     triangles: Vec<Indexed>,
     center: DVec3,
-    /// The unit of the boxes: half their diagonal together, 1 where that is none. In units of the world their areas, by which the builder
-    /// pairs them, would be infinite from sides of 2e19 on and zero up to 1e-23, and all pairs alike: it takes time quadratic in these, too.
+    /// Unit of the boxes: half the diagonal of the scene, or 1 if that is 0. In world units the areas of boxes, by
+    /// which the builder pairs them, would be infinite for sides above 2e19 and zero below 1e-23, and all pairs equal:
+    /// the builder takes time quadratic in these, too.
     radius: f64,
 }
 
@@ -113,7 +114,7 @@ impl MeshBvh {
             });
             in_boxes.push((index, t));
         }
-        // Stable: those of a box stay in order.
+        // Stable: triangles of a box stay in order.
         in_boxes.sort_by_key(|(index, _)| *index);
         let mut starts = vec![0; boxes.len() + 1];
         in_boxes.iter().for_each(|(index, _)| starts[index + 1] += 1);
@@ -123,7 +124,7 @@ impl MeshBvh {
         Self { tree, starts, triangles, center, radius }
     }
 
-    /// That of these meshes.
+    /// Builds the hierarchy over these meshes.
     #[must_use]
     pub fn of(meshes: &[Mesh]) -> Self {
         Self::new(meshes.iter().map(|mesh| (mesh.positions(), mesh.triangles())))
@@ -136,7 +137,7 @@ impl MeshBvh {
         self.hits_before(origin, dir, f64::INFINITY)
     }
 
-    /// Those of [`Self::all_hits`] with `t < t_max`. What lies behind costs nothing.
+    /// The hits of [`Self::all_hits`] with `t < t_max`. Boxes behind that are not visited.
     #[must_use]
     pub fn hits_before(&self, origin: impl Into<DVec3>, dir: impl Into<DVec3>, t_max: f64) -> Vec<Hit> {
         let mut hits = Vec::new();
@@ -155,8 +156,8 @@ impl MeshBvh {
         self.has_layers(1, origin, dir, t_min, t_max)
     }
 
-    /// Whether the ray passes at least `count` triangles with `t_min ≤ t ≤ t_max`. Those that it meets at one place, as at an edge that
-    /// they share, count once.
+    /// Whether the ray passes at least `count` triangles with `t_min ≤ t ≤ t_max`. Triangles hit at one place, as at a
+    /// shared edge, count once.
     #[must_use]
     pub fn has_layers(
         &self,
@@ -183,8 +184,8 @@ impl MeshBvh {
         count == 0 || !missed
     }
 
-    /// The closest point of all triangles; `None` without triangles or if `point` is not finite. Degenerate triangles
-    /// count as the segments they are.
+    /// The closest point on any triangle; `None` without triangles or if `point` is not finite. Degenerate triangles
+    /// count as segments.
     #[must_use]
     pub fn closest_point(&self, point: impl Into<DVec3>) -> Option<ClosestPoint> {
         let point = point.into();
@@ -223,7 +224,8 @@ impl MeshBvh {
         best
     }
 
-    /// `None` if the ray passes the scene by, or is not a ray. Boxes that begin behind `t_max` are passed by.
+    /// The ray in local coordinates, limited to boxes that begin before `t_max`; `None` if it misses the scene or has
+    /// no valid direction.
     fn local_ray(&self, origin: DVec3, dir: DVec3, t_max: f64) -> Option<LocalRay> {
         let unit = dir.try_normalize()?;
         let shift = (self.center - origin).dot(dir) / dir.length_squared();
@@ -240,7 +242,7 @@ impl MeshBvh {
         Some(LocalRay { boxes, nearest, shift, dir })
     }
 
-    /// Those of the box in this place of the tree's leaves.
+    /// Triangles of the box at this position in the tree's leaves.
     fn triangles_at(&self, slot: usize) -> &[Indexed] {
         let index = self.tree.primitive_indices[slot] as usize;
         &self.triangles[self.starts[index]..self.starts[index + 1]]
@@ -263,11 +265,12 @@ impl Indexed {
 
 /// A ray moved to where f32 and f64 resolve the scene well, however far away the camera is.
 struct LocalRay {
-    /// For the f32 boxes, in their unit: unit direction, starts two radii before the centre, before every triangle.
+    /// Ray for the f32 boxes, in their unit: unit direction, origin two radii before the centre and so before every
+    /// triangle.
     boxes: Ray,
     /// The point of the ray closest to the scene's centre, world space.
     nearest: DVec3,
-    /// Its ray parameter.
+    /// Ray parameter of `nearest`.
     shift: f64,
     /// Direction as given.
     dir: DVec3,

@@ -1,4 +1,4 @@
-//! Cuts a surface into charts that a planar projection maps one-to-one.
+//! Cutting of a surface into charts, each of which a planar projection maps one-to-one.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -16,16 +16,18 @@ pub(super) struct Chart {
     pub(super) corners: Vec<[DVec2; 3]>,
 }
 
-/// A triangle joins a chart if its smoothed normal is within 60° of the seed's: areas shrink at most to half.
+/// Least cosine between a triangle's smoothed normal and the seed's for it to join a chart, 60°: areas shrink at most
+/// to half.
 const CONE: f64 = 0.5;
-/// Normals of single triangles, which noise disturbs, may be up to 75° off the chart's axis; never folded over.
+/// Least cosine between a triangle's own, noisy normal and the chart's axis, 75°; no triangle is folded over.
 const STEEPEST: f64 = 0.26;
-/// Times that what lies on top of the rest is split off a chart. Of a spring, which does so with every turn, each would leave one turn.
+/// Most times that overlapping parts are split off a chart. A spring overlaps with every turn, and each split would
+/// leave one turn.
 const MOST_PASSES: u32 = 32;
-/// No adjacent triangle on that side; in no chart.
+/// No neighbouring triangle; no chart.
 const NONE: u32 = u32::MAX;
 
-/// What chart growth needs to know of every triangle.
+/// Per-triangle data for growing charts.
 struct Faces {
     corners: Vec<[DVec3; 3]>,
     /// Normal times twice the area.
@@ -34,8 +36,9 @@ struct Faces {
     neighbors: Vec<[u32; 3]>,
 }
 
-/// Charts of all triangles, each in exactly one, except for triangles with two corners at one place: they are in none. `texel` is the expected size of a texel in world units, `max_side` the
-/// largest extent of a chart. Positions must be finite. Deterministic.
+/// Cuts a surface into charts, with every triangle in exactly one, except triangles with two coincident corners, which
+/// are in none. `texel` is the expected size of a texel in world units, `max_side` the largest extent of a chart.
+/// Positions must be finite. Deterministic.
 pub(super) fn cut(corners: Vec<[DVec3; 3]>, texel: f64, max_side: f64) -> Vec<Chart> {
     let normals: Vec<DVec3> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a)).collect();
     let neighbors = neighbors(&corners);
@@ -111,7 +114,7 @@ impl Faces {
         self.neighbors[face as usize].into_iter().filter(|&n| n != NONE)
     }
 
-    /// Whether `face` is not too steep for a projection along `axis`; a triangle without area never is.
+    /// Whether `face` is not too steep for a projection along `axis`; always true for a triangle without area.
     fn fits(&self, face: u32, axis: DVec3) -> bool {
         let n = self.normals[face as usize];
         n.dot(axis) >= STEEPEST * n.length()
@@ -198,8 +201,8 @@ impl Extent {
     }
 }
 
-/// Gives each chart, the smallest first, to the neighbour with the longest common border of those whose axis suits all of
-/// its triangles: within the cone, or merely not too steep for charts of less than `min_area`.
+/// Merges each chart, smallest first, into the neighbour with the longest common border whose axis suits all of its
+/// triangles: within the cone, or for charts of less than `min_area` merely not too steep.
 fn merge(faces: &Faces, chart_of: &mut [u32], min_area: f64, max_side: f64) {
     // Merging moves the mean axes; a few passes reach what can be reached.
     for _ in 0..4 {
@@ -234,7 +237,7 @@ fn merge(faces: &Faces, chart_of: &mut [u32], min_area: f64, max_side: f64) {
             }
             let mut borders: Vec<(u32, f64)> = borders.into_iter().collect();
             borders.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-            // Where it matters little, stretch is better than a seam.
+            // In a small chart, stretch is better than a seam.
             let steepest = if areas[chart] < min_area { -1.0 } else { CONE };
             let suits = |f: u32, axis: DVec3| faces.fits(f, axis) && faces.smooth[f as usize].dot(axis) >= steepest;
             let into = borders.iter().map(|b| b.0 as usize).find(|&c| {
@@ -260,8 +263,8 @@ fn merge(faces: &Faces, chart_of: &mut [u32], min_area: f64, max_side: f64) {
     }
 }
 
-/// Projects a chart and splits off what would lie on top of the rest, until nothing does. What still does after [`MOST_PASSES`] is put into
-/// layers at once, so that the cost is linear in the triangles, however many there are.
+/// Projects a chart and splits off what would overlap the rest, until nothing does. Overlaps left after [`MOST_PASSES`]
+/// are put into layers at once, so that the cost is linear in the triangles.
 fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
     let pieces =
         |members: Vec<u32>, passes: u32| connected(faces, members).into_iter().map(move |piece| (piece, passes));
@@ -272,8 +275,8 @@ fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
         let first = unit_or_x(faces.normals[members[0] as usize]);
         let all_fit = |axis: &DVec3| members.iter().all(|&f| faces.fits(f, *axis));
         let Some(axis) = [mean, first].into_iter().find(all_fit) else {
-            // The mean has drifted away from some triangles: they go on their own. If it suits none, they point all
-            // ways and the first leads. Both sets are smaller than before.
+            // The mean has drifted away from some triangles: these are handled separately. If it suits none, they point
+            // in all directions and the first triangle gives the axis. Both sets are smaller than before.
             let axis = if members.iter().any(|&f| faces.fits(f, mean)) { mean } else { first };
             let (fit, rest): (Vec<u32>, Vec<u32>) = members.iter().partition(|&&f| faces.fits(f, axis));
             pending.extend(pieces(rest, passes));
@@ -309,8 +312,8 @@ fn without_overlap(faces: &Faces, members: Vec<u32>, texel: f64) -> Vec<Chart> {
     charts
 }
 
-/// Moves triangles that cover a texel centre of another one of their chart into charts of their own; `at` is where in texels a point of a chart
-/// lies. Returns the new charts.
+/// Moves triangles that cover a texel centre of another triangle of their chart into charts of their own; `at` maps a
+/// point of a chart to texels. Returns the new charts.
 pub(super) fn split_overlaps(charts: &mut [Chart], at: impl Fn(usize, DVec2) -> DVec2 + Sync) -> Vec<Chart> {
     let split = |(i, chart): (usize, &mut Chart)| {
         let texels: Vec<[DVec2; 3]> = chart.corners.iter().map(|t| t.map(|p| at(i, p))).collect();
@@ -333,7 +336,7 @@ pub(super) fn split_overlaps(charts: &mut [Chart], at: impl Fn(usize, DVec2) -> 
     charts.par_iter_mut().enumerate().flat_map_iter(split).collect()
 }
 
-/// Connected pieces of a set of triangles, each breadth first from its lowest index.
+/// Connected pieces of a set of triangles, each in breadth-first order from its lowest index.
 fn connected(faces: &Faces, mut members: Vec<u32>) -> Vec<Vec<u32>> {
     members.sort_unstable();
     let mut left = vec![true; members.len()];
@@ -359,7 +362,7 @@ fn connected(faces: &Faces, mut members: Vec<u32>) -> Vec<Vec<u32>> {
     pieces
 }
 
-/// For each triangle whether it is clear of those before it, on a grid of `cell`s from `low`.
+/// Per triangle, whether it covers no cell that an earlier one covers, on a grid of `cell`s from `low`.
 fn not_overlapping(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<bool> {
     if corners.len() == 1 {
         return vec![true];
@@ -378,8 +381,8 @@ fn not_overlapping(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<bool> {
     corners.iter().map(is_clear).collect()
 }
 
-/// For each triangle the layer above all those before it that cover a cell with it: in no layer do two cover the same one. What covers none stays
-/// with the one before it.
+/// Layer of each triangle: the one above all earlier triangles that cover a cell with it, so that no cell is covered
+/// twice in a layer. A triangle that covers no cell stays in the layer of the one before it.
 fn layers(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<usize> {
     let grid = Grid::over(corners, low, cell);
     let mut heights = vec![0_u32; grid.width * grid.height];
@@ -393,7 +396,7 @@ fn layers(corners: &[[DVec2; 3]], low: DVec2, cell: f64) -> Vec<usize> {
     corners.iter().map(layer_of).collect()
 }
 
-/// Cells over the plane of a chart.
+/// Grid of cells over the plane of a chart.
 struct Grid {
     low: DVec2,
     cell: f64,
@@ -408,7 +411,7 @@ impl Grid {
         Self { low, cell, width, height }
     }
 
-    /// Makes `covered` the cells whose centres lie in a triangle.
+    /// Sets `covered` to the cells whose centres lie in a triangle.
     fn cover(&self, triangle: &[DVec2; 3], covered: &mut Vec<usize>) {
         covered.clear();
         let [a, b, c] = triangle.map(|p| (p - self.low) / self.cell);

@@ -4,24 +4,25 @@ use super::GeometryError;
 use crate::scene::{Camera, OpticalAxes, center_and_spread};
 use crate::stats::{median, quantile_box};
 
-/// A capture is unbounded if this part or more of its points are beyond [`Contraction::radius`].
+/// Fraction of a capture's points beyond [`Contraction::radius`] from which the capture counts as unbounded.
 const BEYOND: f64 = 0.1;
-/// Unbounded space drawn into a ball (Mip-NeRF 360, Barron et al. 2022): what is within `radius` of `center` keeps its place, and all the
-/// rest comes to lie within twice that, x → (2 − 1/|x|) x/|x| in units of it. Lengths are world units.
+/// Contraction of unbounded space into a ball (Mip-NeRF 360, Barron et al. 2022): points within `radius` of `center`
+/// keep their place, all others move to within twice that radius, x → (2 − 1/|x|) x/|x| in units of it. Lengths are
+/// world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contraction {
-    /// What the cameras look at.
+    /// Common focus of the cameras.
     pub center: DVec3,
-    /// Of the ball in which nothing changes.
+    /// Radius of the ball in which nothing changes.
     pub radius: f64,
 }
 
 impl Contraction {
-    /// Fewer points do not say whether a capture is unbounded.
+    /// Least number of points for deciding whether a capture is unbounded.
     pub(crate) const LEAST_POINTS: usize = 100;
 
-    /// Around the point that all cameras look at, the radius twice their least distance to it (the constants of 2DGS; twice their
-    /// median distance, where that is more than twice the least: a walk may lead past the point).
+    /// Contraction around the cameras' common focus, its radius twice their least distance to it (the constants of
+    /// 2DGS), or twice their median distance where that is more than twice the least: a walk may lead past the focus.
     ///
     /// # Errors
     /// Without cameras.
@@ -36,13 +37,13 @@ impl Contraction {
         let median =
             median(distances).ok_or_else(|| GeometryError::argument("cameras", "at least one camera", &"none"))?;
         let distance = if least < 0.5 * median { median } else { least };
-        // A camera in the very focus (a panorama): the points say how large the scene is.
+        // A camera at the focus itself (a panorama): the points then give the scale.
         let fallback = inner.map_or(1.0, |(low, high)| (high - low).length());
         let distance = if distance > 1e-3 * fallback { distance } else { fallback.max(1e-6) };
         Ok(Self { center, radius: 2.0 * distance })
     }
 
-    /// The same, if a tenth of the points or more are beyond it.
+    /// As [`Self::around`], if a tenth of the points or more lie beyond its radius; else `None`.
     ///
     /// # Errors
     /// Without cameras.
@@ -53,7 +54,7 @@ impl Contraction {
         Ok(is_unbounded.then_some(contraction))
     }
 
-    /// Where a point of the world comes to lie.
+    /// Contracted position of a world point.
     #[must_use]
     pub fn contract(&self, p: DVec3) -> DVec3 {
         let x = (p - self.center) / self.radius;
@@ -61,7 +62,7 @@ impl Contraction {
         if distance <= 1.0 { p } else { self.center + x * (self.radius * (2.0 - 1.0 / distance) / distance) }
     }
 
-    /// The point of the world that comes to lie there; not finite where none does.
+    /// World point that contracts to `q`; not finite if there is none.
     #[must_use]
     pub fn expand(&self, q: DVec3) -> DVec3 {
         let x = (q - self.center) / self.radius;
@@ -75,7 +76,7 @@ impl Contraction {
         }
     }
 
-    /// Derivative of [`Self::contract`] at `p` along `d`.
+    /// Directional derivative of [`Self::contract`] at `p` along `d`.
     #[must_use]
     pub fn along(&self, p: DVec3, d: DVec3) -> DVec3 {
         let x = (p - self.center) / self.radius;

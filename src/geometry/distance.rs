@@ -1,4 +1,4 @@
-//! How far surfaces are from each other.
+//! Distance between surfaces.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -6,11 +6,11 @@ use serde::Serialize;
 
 use super::{MeshBvh, Surface};
 
-/// Samples of each surface.
+/// Number of samples of each surface.
 const SAMPLES: usize = 200_000;
 
-/// A surface against the one that it should be, as A. Knapitsch et al., *Tanks and Temples*, 2017, compare them: by points that
-/// are evenly spread over both.
+/// Distance between a surface and the true one, as in A. Knapitsch et al., *Tanks and Temples*, 2017: from points
+/// evenly spread over both.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SurfaceDistance {
     /// Mean distance of the surface's points to the truth.
@@ -19,44 +19,44 @@ pub struct SurfaceDistance {
     pub completeness: f64,
     /// Chamfer distance: mean of both.
     pub chamfer: f64,
-    /// Within which points count for the three below.
+    /// Distance within which points count for the following three.
     pub within: f64,
-    /// Part of the surface that is so near to the truth.
+    /// Fraction of the surface that is within this distance of the truth.
     pub precision: f64,
-    /// Part of the truth that is so near to the surface.
+    /// Fraction of the truth that is within this distance of the surface.
     pub recall: f64,
-    /// Harmonic mean of both.
+    /// Harmonic mean of precision and recall.
     pub f_score: f64,
-    /// Part of the truth, as far as it is in the ball, that counts.
+    /// Fraction of the truth within the ball that counts.
     pub counted: f64,
 }
 
 /// A ball in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
-    /// Its centre.
+    /// Centre.
     pub center: DVec3,
-    /// Its radius.
+    /// Radius.
     pub radius: f64,
 }
 
 impl Ball {
-    /// All there is.
+    /// All of space.
     pub const EVERYTHING: Self = Self { center: DVec3::ZERO, radius: f64::INFINITY };
 
     fn contains(&self, p: DVec3) -> bool {
         p.distance(self.center) <= self.radius
     }
 
-    /// Whether it may meet a triangle: it does meet the triangle's box.
+    /// Whether the ball may intersect a triangle: it intersects the triangle's bounding box.
     fn may_meet(&self, [a, b, c]: &[DVec3; 3]) -> bool {
         self.contains(self.center.clamp(a.min(*b).min(*c), a.max(*b).max(*c)))
     }
 }
 
-/// Compares a surface with the truth. Of both those points count that are in the ball, and of the truth's those that `counts` says:
-/// nobody expects what no view sees. The nearest point of the other may lie outside.
-/// `None` if one of them has no area in the ball, or nothing counts.
+/// Compares a surface with the truth. Points of both count if they are in the ball, those of the truth only where
+/// `counts` holds: no surface is expected where no view looks. The nearest point on the other surface may lie outside
+/// the ball. `None` if one of the surfaces has no area in the ball, or nothing counts.
 #[must_use]
 pub fn surface_distance(
     surface: &Surface,
@@ -79,7 +79,7 @@ pub fn surface_distance(
     Some(SurfaceDistance { accuracy, completeness, chamfer, within, precision, recall, f_score, counted })
 }
 
-/// Mean distance of points to a surface, and the part of them that is near it.
+/// Mean distance of points to a surface, and the fraction of them within `within` of it.
 fn to(points: &[DVec3], surface: &Surface, within: f64) -> (f64, f64) {
     let bvh = MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
     let distance = |p: &DVec3| bvh.closest_point(*p).map_or(f64::INFINITY, |closest| closest.distance);
@@ -88,8 +88,8 @@ fn to(points: &[DVec3], surface: &Surface, within: f64) -> (f64, f64) {
     (distances.iter().sum::<f64>() / points.len() as f64, near as f64 / points.len() as f64)
 }
 
-/// Of [`SAMPLES`] points on the triangles in or about the ball, as many on each part as it has of the area, those in the ball; `None` if
-/// there is no such area.
+/// Points in the ball, out of [`SAMPLES`] points spread evenly by area over the triangles that may intersect it; `None`
+/// if these have no area.
 fn spread(surface: &Surface, ball: Ball) -> Option<Vec<DVec3>> {
     let corner = |v: u32| surface.positions.get(v as usize).map(|p| p.as_dvec3()).filter(|p| p.is_finite());
     let corners = |t: &[u32; 3]| Some([corner(t[0])?, corner(t[1])?, corner(t[2])?]);

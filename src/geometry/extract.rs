@@ -8,10 +8,10 @@ use rayon::prelude::*;
 use super::fusion::{Block, Fusion, LEAST_VIEWS, SIDE};
 use super::surface::Surface;
 
-/// A block with one sample of each neighbour on either side: samples −1..=8 of its own count.
+/// A block padded by one sample of each neighbour: samples −1..=8 in its own numbering.
 type Padded = ConstShape3u32<10, 10, 10>;
 
-/// Triangles of one block. Vertices are named by their cell, so that neighbours agree on them.
+/// Triangles of one block. Vertices are identified by their cell, so that neighbouring blocks agree on them.
 struct Patch {
     cells: Vec<[i32; 3]>,
     positions: Vec<Vec3>,
@@ -19,10 +19,10 @@ struct Patch {
 }
 
 impl Fusion {
-    /// The surface where the fused distance changes sign, counter-clockwise seen from outside; one vertex per grid cell
-    /// that it passes (surface nets), shared across blocks. Cells with a corner that too few views have seen have no
-    /// vertex: the surface ends there. The order of vertices and triangles depends on the views only. With a contraction it lies in
-    /// contracted space, where all voxels are alike.
+    /// Extracts the surface where the fused distance changes sign, counter-clockwise seen from outside; one vertex per
+    /// grid cell that it passes (surface nets), shared across blocks. Cells with a corner that too few views have seen
+    /// have no vertex: the surface ends there. The order of vertices and triangles depends on the views only. With a
+    /// contraction the result lies in contracted space, where all voxels are alike.
     pub(super) fn extract(&self) -> Surface {
         let mut order: Vec<&Block> = self.blocks.iter().collect();
         order.par_sort_unstable_by_key(|b| b.key);
@@ -47,7 +47,7 @@ impl Fusion {
         surface
     }
 
-    /// The surface in the world that lies there in contracted space.
+    /// Maps a surface from contracted space back to the world.
     pub(super) fn expanded(&self, mut surface: Surface) -> Surface {
         if let Some(contraction) = &self.options.contraction {
             surface.positions.iter_mut().for_each(|p| *p = contraction.expand(p.as_dvec3()).as_vec3());
@@ -85,7 +85,7 @@ impl Fusion {
         patch
     }
 
-    /// Copies the block and the near layer of its 26 neighbours.
+    /// Copies the block and the adjacent layer of its 26 neighbours.
     fn gather(&self, block: &Block, distance: &mut [f32], seen: &mut [bool]) {
         for neighbor in 0..27 {
             let offset = [neighbor % 3 - 1, neighbor / 3 % 3 - 1, neighbor / 9 - 1];

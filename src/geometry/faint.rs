@@ -1,4 +1,4 @@
-//! Triangles of a trained mesh that show next to nothing and hide nothing either.
+//! Triangles of a trained mesh that show next to nothing and whose removal would uncover nothing either.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -39,7 +39,7 @@ pub fn faint_triangles(mesh: &Mesh, least: f64, viewers: &Viewers) -> Vec<bool> 
     };
     faint.par_iter_mut().enumerate().filter(|(_, is_faint)| **is_faint).for_each(|(face, is_faint)| {
         let corners = mesh.triangles()[face].map(|v| mesh.positions()[v as usize].as_dvec3());
-        // What hides something mostly does so in the middle.
+        // The middle is tested first, as it hides something in most cases that any point does.
         *is_faint = !hides((corners[0] + corners[1] + corners[2]) / 3.0);
         if *is_faint {
             for_each_texel(mesh, face, size, |_, _, w| {
@@ -50,8 +50,8 @@ pub fn faint_triangles(mesh: &Mesh, least: f64, viewers: &Viewers) -> Vec<bool> 
     faint
 }
 
-/// Column, row and the corners' weights of the texels whose centres lie in a triangle; of the texel at its middle where there are
-/// none.
+/// Column, row and corner weights of the texels whose centres lie in a triangle; if there are none, of the texel at its
+/// middle.
 fn for_each_texel(mesh: &Mesh, face: usize, size: [usize; 2], mut each: impl FnMut(usize, usize, DVec3)) {
     let uvs = &mesh.corner_uvs()[face];
     let mut is_empty = true;

@@ -8,39 +8,42 @@ use super::contraction::Contraction;
 use crate::scene::Camera;
 use crate::stats::quantile_box;
 
-/// Where and how finely depth maps are fused. Lengths are in world units, with a contraction in those of contracted space.
+/// Options for fusing depth maps: extent and resolution of the volume. Lengths are in world units, or with a
+/// contraction in units of contracted space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionOptions {
     /// Edge of a voxel.
     pub voxel: f64,
     /// Distance from the surface at which the signed distance is cut off, at least 2 voxels.
     pub truncation: f64,
-    /// Nothing outside this box (low corner, high corner) is fused.
+    /// Box (low corner, high corner) outside which nothing is fused.
     pub bounds: (DVec3, DVec3),
-    /// For scenes without bounds: the grid lies in contracted space.
+    /// Contraction for unbounded scenes: the grid then lies in contracted space.
     pub contraction: Option<Contraction>,
-    /// Depths beyond this, in world units, are ignored.
+    /// Depth, world units, beyond which depths are ignored.
     pub max_depth: f64,
     /// Limit on the memory for voxels, bytes.
     pub max_bytes: usize,
 }
 
-/// Voxels that contracted space has behind the farthest surface, at least: the truncation and some more.
+/// Least number of voxels in contracted space behind the farthest surface: the truncation and some more.
 const VOXELS_BEHIND: f64 = 8.0;
-/// Farthest surface in radii of the contraction. Parallax ends there, and splats of the sky begin (`optimize/background.rs`, 15 or so).
+/// Largest distance of a surface, in radii of the contraction: parallax ends there, and splats of the sky begin at some
+/// 15 (`optimize/background.rs`).
 const FARTHEST: f64 = 12.0;
 
-/// Views that must have seen a voxel for it to count (2DGS).
+/// Least number of views that must have seen a voxel for it to count (2DGS).
 pub(super) const LEAST_VIEWS: f32 = 2.0;
 
 /// Memory for voxels, bytes.
 pub(super) const MAX_BYTES: usize = 2 << 30;
 
 impl FusionOptions {
-    /// The constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5 voxels.
-    /// Bounded, the box holds all but the outermost 0.5 % of `points` on each side and reaches no farther than that radius along any axis from
-    /// what all cameras look at, and `max_depth` is as far as any of them has to what is in it. With a `contraction` the box is one of contracted points, and
-    /// `max_depth` is what leaves room for some voxels behind a surface.
+    /// Options with the constants of 2DGS: voxel = radius of [`Contraction::around`] / resolution, truncation = 5
+    /// voxels. In bounded scenes the box holds all but the outermost 0.5 % of `points` on each side and reaches no
+    /// farther than that radius along any axis from the cameras' focus, and `max_depth` is the largest distance of a
+    /// camera to anything in the box. With a `contraction` the box is one of contracted points, and `max_depth` leaves
+    /// room for some voxels behind a surface.
     ///
     /// # Errors
     /// Without cameras or with resolution 0.
@@ -71,15 +74,15 @@ impl FusionOptions {
                 let farthest = |c: DVec3| (c - bounds.0).abs().max((c - bounds.1).abs()).length();
                 cameras.iter().map(|camera| farthest(camera.center())).fold(0.0, f64::max)
             }
-            // At x radii it is 1/x to the end of the ball.
+            // A surface at x radii lies 1/x radii inside the contracted ball's boundary.
             Some(_) => radius * (f64::from(resolution) / VOXELS_BEHIND).clamp(1.0, FARTHEST),
         };
         let truncation = 5.0 * voxel;
         Ok(Self { voxel, truncation, bounds, contraction, max_depth, max_bytes: MAX_BYTES })
     }
 
-    /// Where a surface seen at the world point `p` along a ray comes to lie, and how far that ray leads from there within one
-    /// truncation, `ray` being its step of depth 1.
+    /// Position, in the grid's space, of a surface seen at the world point `p`, and the step from there along the ray
+    /// of one truncation; `ray` is the ray's step of depth 1.
     fn band(&self, p: DVec3, ray: DVec3) -> (DVec3, DVec3) {
         let Some(contraction) = &self.contraction else { return (p, ray * self.truncation) };
         let along = contraction.along(p, ray);
@@ -108,9 +111,9 @@ pub(super) struct Block {
 /// A truncated signed distance function on a sparse grid: blocks of 8³ voxels exist only near surfaces that were seen,
 /// so memory grows with the surface and not with the volume.
 ///
-/// Order matters a little: a view carves free space only out of blocks that exist when it is fused.
+/// The order of views matters a little: a view carves free space only out of blocks that exist when it is fused.
 pub struct Fusion {
-    /// What it was made with.
+    /// Options of the volume.
     pub(super) options: FusionOptions,
     pub(super) blocks: Vec<Block>,
     pub(super) slots: HashMap<[i32; 3], u32>,
@@ -150,8 +153,9 @@ impl Fusion {
         Ok(Self { options, blocks: Vec::new(), slots: HashMap::new(), extent, views: 0 })
     }
 
-    /// The depth maps of all cameras, fused at the last of `resolutions` or, as far as need be, at less where voxels do not fit into memory.
-    /// `options` are those at a resolution; `depth_of` yields the depth map of a camera by its index, anew for every resolution.
+    /// Fuses the depth maps of all cameras at the highest of `resolutions`, or at a lower one if voxels do not fit into
+    /// memory. `options` yields the options for a resolution, `depth_of` the depth map of a camera by its index, anew
+    /// for every resolution.
     ///
     /// # Errors
     /// As [`Self::new`] and [`Self::integrate`], and what `options` and `depth_of` return.
@@ -168,7 +172,7 @@ impl Fusion {
                 let depth = depth_of(i)?;
                 match fusion.integrate(camera, &depth) {
                     Err(GeometryError::FusionMemory { .. }) if resolution > least => {
-                        // Half of the voxels, about: they are near a surface.
+                        // About half of the voxels, as these lie near a surface.
                         resolution = ((0.7 * f64::from(resolution)) as u32).max(least);
                         continue 'resolutions;
                     }
@@ -191,8 +195,9 @@ impl Fusion {
         self.blocks.len() * VOLUME * size_of::<Voxel>()
     }
 
-    /// Fuses one view, `depth` `[h·w]` in camera-space z; 0, negative or not finite means no surface. Every voxel in front of the
-    /// seen surface and up to one truncation behind it takes part in a mean of (seen depth − own depth), cut off at the truncation.
+    /// Fuses one view, `depth` `[h·w]` in camera-space z; 0, negative or not finite means no surface. Every voxel in
+    /// front of the seen surface and up to one truncation behind it averages (seen depth − own depth), cut off at the
+    /// truncation.
     ///
     /// # Errors
     /// If the map does not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not fused.
@@ -210,7 +215,7 @@ impl Fusion {
         Ok(())
     }
 
-    /// Adds the blocks within one truncation of the surface that a camera sees.
+    /// Allocates the blocks within one truncation of the surface that a camera sees.
     fn allocate(&mut self, camera: &Camera, depth: &[f32]) -> Result<(), GeometryError> {
         let o = self.options;
         let k = camera.intrinsics();
@@ -234,7 +239,7 @@ impl Fusion {
                 let steps = (2.0 * near.distance(far)).ceil().max(1.0);
                 for i in 0..=steps as u32 {
                     let p = near.lerp(far, f64::from(i) / steps);
-                    // Outside by more than a block: also keeps the numbers within i32.
+                    // Skips samples outside by more than a block, which also keeps the numbers within i32.
                     if p.cmpge(DVec3::splat(-2.0)).all() && p.max_element() < f64::from(i32::MAX / 2) {
                         cells.push(p.floor().as_ivec3().to_array());
                     }
@@ -247,9 +252,9 @@ impl Fusion {
         let mut cells: Vec<[i32; 3]> = (0..k.height as usize).into_par_iter().flat_map_iter(cells_of_row).collect();
         cells.par_sort_unstable();
         cells.dedup();
-        // A voxel that projects into a pixel is at most half a step along and half a pixel diagonal across away from a
-        // sample; a coarse depth map far away is the case where the second matters. Contracted, pixels stop growing: at x radii
-        // from the centre those of a camera at c are (x + c)(2 − 1/x)/x as wide, which is below 2(1 + c).
+        // A voxel that projects into a pixel is at most half a step along the ray and half a pixel diagonal across it
+        // from a sample; the latter matters for coarse depth maps far away. In contracted space pixels stop growing: at
+        // x radii from the centre those of a camera at c are (x + c)(2 − 1/x)/x as wide, which is below 2(1 + c).
         let depths = depth.iter().filter_map(|&depth| valid_depth(depth, o.max_depth));
         let farthest = f64::from(depths.fold(0.0, f32::max));
         let widest =
@@ -292,10 +297,10 @@ fn valid_depth(depth: f32, max_depth: f64) -> Option<f32> {
     (depth > 0.0 && f64::from(depth) <= max_depth).then_some(depth)
 }
 
-/// A view with what the voxel loop needs at hand.
+/// A view with precomputed data for the voxel loop.
 struct Projection<'a> {
     camera: &'a Camera,
-    /// `[h·w]`
+    /// Depth map `[h·w]`.
     depth: &'a [f32],
     options: &'a FusionOptions,
     /// Camera-space steps of one voxel along the world axes.
@@ -344,7 +349,8 @@ impl<'a> Projection<'a> {
             }
             return;
         };
-        // Of its corners; between them space is bent. Where one is at the end of all, only its voxels tell.
+        // Bounding sphere of the contracted block's corners, enlarged since space between them is bent. If a corner is
+        // at infinity, each voxel is tested.
         let corners =
             [0, 1, 2, 3, 4, 5, 6, 7].map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2)));
         let corners = corners.map(|c| contraction.expand(corner + c * edge));
@@ -357,14 +363,15 @@ impl<'a> Projection<'a> {
         self.fuse(block, |x, y, z| {
             let world = contraction.expand(corner + DVec3::new(x as f64, y as f64, z as f64) * o.voxel);
             let p = camera.to_camera(world);
-            // Depths differ by as much more than contracted ones as the ray is longer in the world.
+            // Ratio of lengths along the ray in the world and in contracted space.
             let ray = world - center;
             let local = o.truncation * ray.length() / contraction.along(world, ray).length();
             (p.z > 0.0 && p.is_finite() && local.is_finite()).then(|| (p.as_vec3(), local as f32))
         });
     }
 
-    /// Takes the view into all voxels of a block. `place` gives a voxel's camera-space position and the truncation there.
+    /// Fuses the view into all voxels of a block. `place` gives a voxel's camera-space position and the truncation
+    /// there.
     fn fuse(&self, block: &mut Block, place: impl Fn(usize, usize, usize) -> Option<(Vec3, f32)>) {
         let side = SIDE as usize;
         for (i, voxel) in block.voxels.iter_mut().enumerate() {
@@ -375,8 +382,9 @@ impl<'a> Projection<'a> {
         }
     }
 
-    /// Seen depth minus own where camera-space `p` projects to; nothing deeper than the truncation. The
-    /// depth is bilinear on a surface, nearest at its edges, so that none is made up between two surfaces.
+    /// Seen depth minus own depth at the projection of camera-space `p`; `None` if deeper than the truncation behind
+    /// the surface. Depth is interpolated bilinearly on a surface and nearest at its edges, so that none is made up
+    /// between two surfaces.
     fn sample(&self, p: Vec3, truncation: f32) -> Option<f32> {
         if p.z <= 0.0 {
             return None;
@@ -394,7 +402,7 @@ impl<'a> Projection<'a> {
         let in_band = |distance: f32| (distance >= -truncation).then_some(distance);
         let (left, top) = ((u - 0.5).max(0.0), (v - 0.5).max(0.0));
         let (x, y) = (left as usize, top as usize);
-        // Far from the surface the sign says it all.
+        // Far from the surface only the sign matters.
         let rough = depth - p.z;
         if rough.abs() > 2.0 * truncation || x + 1 >= w || y + 1 >= h {
             return in_band(rough);

@@ -1,4 +1,5 @@
-//! Holes in a surface, closed by constrained Delaunay triangles in the plane that fits their edge best.
+//! Hole filling: holes in a surface are closed by constrained Delaunay triangulation in the plane that fits their edge
+//! best.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -10,28 +11,30 @@ use spade::{
 use super::surface::Surface;
 use crate::stats::median;
 
-/// A hole with more edges around it is not closed: of an iso-surface about 13 voxels across.
+/// Most edges around a hole that is closed: about 13 voxels across on an iso-surface.
 const MOST_EDGES: usize = 40;
-/// How far an edge may leave its plane, and what is in the hole may be from it, as a part of the square root of the area within.
+/// Largest distance from a hole's plane, both of its edge and of vertices that count as inside it, relative to the
+/// square root of its area.
 const FLATNESS: f64 = 0.3;
-/// Least mean cosine between that plane and the triangles around the edge: below, it is the end of a tube.
+/// Least mean cosine between that plane and the triangles around the edge: below, the hole is the end of a tube.
 const LEAST_COSINE: f64 = 0.5;
-/// Sharpest corner of triangles within, in degrees, where the edge allows it.
+/// Least corner angle of new triangles, degrees, where the edge allows it.
 const SHARPEST: f64 = 20.0;
 
-/// Vertices and cells that are looked at for what is in all holes, for each vertex of the surface. Of an even mesh a slit of [`MOST_EDGES`] has
-/// a thousand vertices around it, and of its own 40, so that all slits together look at 25 times as many as there are.
+/// Budget of vertices and cells visited when looking for the content of all holes, per vertex of the surface. On an
+/// even mesh a slit of [`MOST_EDGES`] has a thousand vertices around it and 40 of its own, so that all slits together
+/// visit 25 times as many as there are.
 const MOST_LOOKS: usize = 256;
 
-/// A boundary, in the direction that the triangles at it have.
+/// A boundary loop, in the direction of the adjacent triangles.
 struct Edge {
     vertices: Vec<u32>,
-    /// Sum of the normals of those triangles, as long as twice their area, and of their lengths.
+    /// Sum of the adjacent triangles' normals, each as long as twice the area, and of their lengths.
     around: DVec3,
     around_length: f64,
 }
 
-/// A vertex in the plane of a hole; `index` is that in the surface, which vertices within the hole get later.
+/// A vertex in the plane of a hole; `index` is that in the surface, assigned later to new vertices within the hole.
 #[derive(Clone, Copy)]
 struct Corner {
     at: DVec2,
@@ -52,25 +55,25 @@ impl From<Point2<f64>> for Corner {
     }
 }
 
-/// Closes small holes, and returns how many. A hole is a boundary that the surface lies around:
-/// nearly flat, simple in its plane, with no other vertex in it or near above and below. Outlines, ends of tubes and holes that
-/// something is in stay open, and so do those at which boundaries touch. New triangles are about as large as those around, and
-/// wound alike.
+/// Closes small holes, and returns their number. A hole is a boundary that the surface surrounds: nearly flat, simple
+/// in its plane, with no other vertex in it or near above and below. Outlines, ends of tubes, holes with something in
+/// them and holes whose boundaries touch stay open. New triangles are about as large as those around, and wound alike.
 ///
-/// The cost is linear in the triangles: what is in a hole is looked for in the cells of a grid around it, in all with no more than
-/// [`MOST_LOOKS`]. Of holes whose surroundings are larger than that in sum the largest stay open.
+/// The cost is linear in the triangles: the content of a hole is looked up in the cells of a grid around it, with at
+/// most [`MOST_LOOKS`] visits per vertex in all. If the surroundings of all holes exceed that, the largest holes stay
+/// open.
 #[must_use]
 pub(super) fn without_holes(surface: Surface) -> (Surface, usize) {
     let looks = MOST_LOOKS.saturating_mul(surface.positions.len());
     closed_within(surface, looks)
 }
 
-/// The same with so many looks.
+/// [`without_holes`] with a budget of `looks` visits.
 fn closed_within(mut surface: Surface, mut looks: usize) -> (Surface, usize) {
     let edges = boundaries(&surface);
     let small = |edge: &&Edge| edge.vertices.len() <= MOST_EDGES;
     let holes: Vec<Hole> = edges.iter().filter(small).filter_map(|edge| Hole::new(&surface.positions, edge)).collect();
-    // Not the mean: a single large one would make cells that hold all there is.
+    // Not the mean: a single large hole would make cells that hold everything.
     let grid = Grid::new(&surface, median(holes.iter().map(|hole| hole.reach).collect()).unwrap_or(0.0));
     let mut smallest_first: Vec<usize> = (0..holes.len()).collect();
     smallest_first.sort_by(|&a, &b| holes[a].reach.total_cmp(&holes[b].reach));
@@ -84,7 +87,7 @@ fn closed_within(mut surface: Surface, mut looks: usize) -> (Surface, usize) {
     (surface, closed)
 }
 
-/// Vertices that triangles have, by the cells that they are in.
+/// Vertices used by triangles, by grid cell.
 struct Grid {
     cell: f64,
     cells: HashMap<[i64; 3], Vec<u32>>,
@@ -102,12 +105,12 @@ impl Grid {
     }
 
     fn cell_of(&self, p: DVec3) -> [i64; 3] {
-        // Conversion saturates, and what is not finite is in a cell of its own.
+        // The conversion saturates; non-finite coordinates get a cell of their own.
         (p / self.cell).floor().to_array().map(|v| v as i64)
     }
 
-    /// All vertices within this distance, and some beyond. They and the cells they are looked for in are taken off `looks`; `None` where
-    /// nothing was left of those.
+    /// All vertices within this distance, and some beyond. They and the cells searched are subtracted from `looks`;
+    /// `None` if nothing was left of it.
     fn near(&self, center: DVec3, reach: f64, looks: &mut usize) -> Option<impl Iterator<Item = u32>> {
         if *looks == 0 {
             return None;
@@ -115,7 +118,7 @@ impl Grid {
         let low = self.cell_of(center - reach);
         let high = self.cell_of(center + reach);
         let many = (0..3).map(|i| high[i].saturating_sub(low[i]).saturating_add(1)).fold(1i64, i64::saturating_mul);
-        // Of a hole much larger than others it is cheaper to look into all cells that there are.
+        // For a hole much larger than the others it is cheaper to scan all occupied cells.
         let is_in = move |at: &[i64; 3]| (0..3).all(|i| (low[i]..=high[i]).contains(&at[i]));
         let many = usize::try_from(many).unwrap_or(usize::MAX);
         let cells: Vec<&Vec<u32>> = if many > self.cells.len() {
@@ -131,12 +134,13 @@ impl Grid {
     }
 }
 
-/// All boundaries that do not touch themselves or each other.
+/// All boundary loops that do not touch themselves or each other.
 fn boundaries(surface: &Surface) -> Vec<Edge> {
     let corners = |t: &[u32; 3]| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])];
     let mut count: HashMap<(u32, u32), u32> = HashMap::new();
     surface.triangles.iter().flat_map(corners).for_each(|edge| *count.entry(edge).or_default() += 1);
-    // By where they begin: the next vertex and the normal of the triangle, `None` where several begin.
+    // By start vertex of a boundary edge: the next vertex and the triangle's normal; `None` if several edges start
+    // there.
     let mut next: BTreeMap<u32, Option<(u32, DVec3)>> = BTreeMap::new();
     for t in &surface.triangles {
         for (a, b) in corners(t).into_iter().filter(|&(a, b)| count[&(a, b)] == 1 && !count.contains_key(&(b, a))) {
@@ -147,7 +151,7 @@ fn boundaries(surface: &Surface) -> Vec<Edge> {
     let mut found = vec![];
     while let Some((&start, _)) = next.first_key_value() {
         let (mut edge, mut at) = (Edge { vertices: vec![], around: DVec3::ZERO, around_length: 0.0 }, start);
-        // Every vertex is taken out, so that this ends.
+        // Every vertex is removed, so this terminates.
         while let Some(Some((after, normal))) = next.remove(&at) {
             edge.vertices.push(at);
             edge.around += normal;
@@ -163,28 +167,28 @@ fn boundaries(surface: &Surface) -> Vec<Edge> {
 
 /// A boundary with the surface around it.
 struct Hole {
-    /// Counter-clockwise in the plane.
+    /// Boundary vertices, counter-clockwise in the plane.
     vertices: Vec<u32>,
     outline: Vec<DVec2>,
-    /// Above the plane.
+    /// Heights of the boundary vertices above the plane.
     offsets: Vec<f64>,
     center: DVec3,
     axes: [DVec3; 3],
-    /// From the centre to what may be in it, at most.
+    /// Largest distance from the centre to anything in the hole.
     reach: f64,
     area: f64,
 }
 
 impl Hole {
     fn new(positions: &[Vec3], edge: &Edge) -> Option<Self> {
-        // Triangles run around a hole the other way.
+        // Triangles run around a hole clockwise.
         let vertices: Vec<u32> = edge.vertices.iter().rev().copied().collect();
         let points: Vec<DVec3> = vertices.iter().map(|&v| positions[v as usize].as_dvec3()).collect();
         let center = points.iter().sum::<DVec3>() / points.len() as f64;
         let around_center = points.iter().zip(points.iter().cycle().skip(1));
         let twice_area: DVec3 = around_center.map(|(p, q)| (*p - center).cross(*q - center)).sum();
         let normal = twice_area.try_normalize()?;
-        // Of the walls of a tube nothing is left in the sum, whatever is left points where it will.
+        // For a tube the adjacent normals cancel in the sum, and what remains of it points anywhere.
         if normal.dot(edge.around) < LEAST_COSINE * edge.around_length || edge.around_length == 0.0 {
             return None;
         }
@@ -203,7 +207,7 @@ impl Hole {
         Some(Self { vertices, outline, offsets, center, axes, reach, area })
     }
 
-    /// Whether a vertex is in it: within its outline, and near its plane.
+    /// Whether a vertex is in the hole: within its outline, and near its plane.
     fn holds(&self, surface: &Surface, vertex: u32) -> bool {
         let point = surface.positions[vertex as usize].as_dvec3();
         let p = DVec3::from(self.axes.map(|axis| axis.dot(point - self.center)));
@@ -218,7 +222,7 @@ impl Hole {
         sides.filter(|side| crosses(*side)).count() % 2 == 1
     }
 
-    /// Appends its triangles; false, and nothing done, if its outline is not simple.
+    /// Appends the hole's triangles; returns false, and does nothing, if its outline is not simple.
     fn fill(&self, surface: &mut Surface) -> bool {
         let n = self.outline.len();
         let corner = |(at, index): (&DVec2, &u32)| Corner { at: *at, index: Some(*index) };
@@ -238,7 +242,7 @@ impl Hole {
                 .exclude_outer_faces(true)
                 .keep_constraint_edges()
                 .with_angle_limit(AngleLimit::from_deg(SHARPEST))
-                // One and a half times an equilateral triangle on such an edge.
+                // One and a half times the area of an equilateral triangle with the edge's mean length.
                 .with_max_allowed_area(0.65 * side * side)
                 .with_max_additional_vertices(n * n),
         );
@@ -256,7 +260,7 @@ impl Hole {
         true
     }
 
-    /// A point within, as far from the plane as the edge around it.
+    /// A point within the hole, with a height interpolated from the edge around it.
     fn lifted(&self, at: DVec2) -> Vec3 {
         let (mut sum, mut total) = (0.0, 0.0);
         for (p, offset) in self.outline.iter().zip(&self.offsets) {

@@ -1,4 +1,4 @@
-//! Surfaces: ray queries, fusion of depth maps, simplification, unwrapping, what views see of texels.
+//! Surfaces: ray queries, fusion of depth maps, simplification, unwrapping, visibility of texels.
 
 mod bvh;
 mod charts;
@@ -46,16 +46,16 @@ pub use transfer::transfer;
 pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, WIDEST_GUTTER, unwrap};
 pub use visibility::{TexelSight, TexelVisibility, texel_visibility};
 
-/// Why a surface could not be made or unwrapped.
+/// Error of making or unwrapping a surface.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GeometryError {
-    /// An argument that makes no sense: its name, what is accepted, what was given.
+    /// An invalid argument: its name, what is accepted, what was given.
     #[error("{field}: expected {expected}, found {found}")]
     Argument {
         /// Name of the argument, with an index where one element is at fault.
         field: String,
-        /// What would have been accepted.
+        /// What is accepted.
         expected: String,
         /// What was given.
         found: String,
@@ -73,15 +73,15 @@ pub enum GeometryError {
         /// Voxels along the longest side of [`FusionOptions::bounds`].
         resolution: u32,
     },
-    /// Nothing is left of the surface.
+    /// A step left no triangle of the surface.
     #[error("surface: expected triangles after {step}, found none; {hint}")]
     EmptySurface {
-        /// The step that left nothing.
+        /// The step.
         step: &'static str,
-        /// What may help.
+        /// Suggestion for the user.
         hint: &'static str,
     },
-    /// The charts do not fit, however small.
+    /// The charts do not fit the atlas at any useful scale.
     #[error(
         "unwrap: expected the {charts} charts to fit in an atlas of {atlas_size}×{atlas_size} texels, found no room \
          even with the narrowest gutters"

@@ -4,19 +4,19 @@ use glam::Vec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
-/// The point itself and its three nearest neighbours.
+/// A point itself and its three nearest neighbours.
 const NEIGHBORS: NonZero<usize> = NonZero::new(4).expect("4 is not 0");
 
-/// For every point the mean squared distance to its 3 nearest other points: the initial splat variance of INRIA 3DGS
-/// (which floors it at 1e-7; this function does not).
+/// Mean squared distance of every point to its 3 nearest other points: the initial splat variance of INRIA 3DGS (which
+/// floors it at 1e-7; this function does not).
 ///
-/// Points at the same place count as neighbours at distance 0. With fewer than 4 points the mean is over those there
-/// are; it is 0 for a single point. A point that is not finite gets 0 and is nobody's neighbour.
+/// Coincident points count as neighbours at distance 0. With fewer than 4 points the mean is over those there are; it
+/// is 0 for a single point. A point that is not finite gets 0 and is not a neighbour of any other.
 #[must_use]
 pub fn mean_squared_distance_to_3_neighbors(points: &[Vec3]) -> Vec<f32> {
     let finite: Vec<[f32; 3]> = points.iter().filter(|p| p.is_finite()).map(Vec3::to_array).collect();
     let Ok(tree) = ImmutableKdTree::<f32, 3>::new_from_slice(&finite) else {
-        // Only more points than a u32 can number are refused.
+        // The tree only rejects more points than a u32 can number.
         return vec![0.0; points.len()];
     };
     points
@@ -26,8 +26,8 @@ pub fn mean_squared_distance_to_3_neighbors(points: &[Vec3]) -> Vec<f32> {
                 return 0.0;
             }
             let found = tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f32>>(NEIGHBORS).execute();
-            // The point finds itself at distance 0, so the sum is over the others; with duplicates it does not
-            // matter which of the zeros is dropped.
+            // The point finds itself at distance 0, so the sum is over the others; with duplicates it does not matter
+            // which of the zeros is dropped.
             let others = (found.len().max(2) - 1) as f32;
             found.iter().map(|n| n.distance).sum::<f32>() / others
         })

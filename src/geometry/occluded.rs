@@ -1,4 +1,4 @@
-//! Splats that opaque triangles hide.
+//! Splats hidden by opaque triangles.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -6,16 +6,19 @@ use rayon::prelude::*;
 use super::{Hit, MeshBvh, Viewers, bvh::ONE_HIT, raster::texel_positions};
 use crate::scene::{Mesh, Splats, sigmoid};
 
-/// Standard deviations of the points at which a splat is looked for, along its axes to either side.
+/// Distance from the mean, in standard deviations along each axis to either side, of the points at which a splat is
+/// tested.
 const DEVIATIONS: f64 = 2.0;
 /// A triangle in this last part of the way to a point does not hide it but has it on itself.
 const SAME_PLACE: f64 = 1e-6;
 
-/// Which splats `[N]` lie behind what is opaque: their mean and both ends of their axes, at two standard deviations, wherever one of the
-/// cameras has them in its picture, which must be one of them once at least. What is behind the first `layers` triangles of a
-/// ray, of which less than `transmittance` passes, in 0..=1, is hidden. A splat may still be seen between these points.
+/// Which splats `[N]` lie behind opaque triangles. A splat is tested at its mean and at both ends of its axes, two
+/// standard deviations away, in all cameras whose picture they are in; it must be in at least one picture. A point is
+/// hidden if less than `transmittance`, in 0..=1, passes the first `layers` triangles of the ray to it. A splat may
+/// still be seen between these points.
 ///
-/// A splat that is seen takes a ray or little more, one that is hidden seven for every camera. `bvh` is [`MeshBvh::of`] these meshes.
+/// A visible splat costs a ray or little more, a hidden one seven for every camera. `bvh` is [`MeshBvh::of`] these
+/// meshes.
 #[must_use]
 pub fn occluded_splats(
     splats: &Splats,
@@ -50,7 +53,7 @@ fn samples(splats: &Splats, i: usize) -> [DVec3; 7] {
     [mean, mean + x, mean - x, mean + y, mean - y, mean + z, mean - z]
 }
 
-/// What hides points from cameras.
+/// The meshes that may hide points, and the cameras.
 struct Veil<'a> {
     bvh: &'a MeshBvh,
     meshes: &'a [Mesh],
@@ -59,7 +62,7 @@ struct Veil<'a> {
 }
 
 impl Veil<'_> {
-    /// Whether a point is hidden from a camera; `None` if that one does not have it in its picture.
+    /// Whether a point is hidden from a camera; `None` if it is not in the camera's picture.
     fn hides(&self, view: usize, point: DVec3) -> Option<bool> {
         let sight = self.viewers.sight(view, point)?;
         let (mut passes, mut layers, mut last) = (1.0, 0, f64::NEG_INFINITY);
@@ -78,7 +81,7 @@ impl Veil<'_> {
     }
 }
 
-/// The least opacity of the texels of the finest level that are mixed at a hit.
+/// Least opacity among the texels of the finest level that bilinear filtering mixes at a hit.
 fn opacity(mesh: &Mesh, hit: &Hit) -> f64 {
     let base = mesh.atlas().base();
     let size = [base.width() as usize, base.height() as usize];

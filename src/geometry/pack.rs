@@ -1,4 +1,5 @@
-//! Packs charts into a square atlas: each where it lies lowest among those before it, also in what they leave open.
+//! Packing of charts into a square atlas: each is placed as low as possible among those before it, including in the
+//! gaps they leave.
 
 use std::{cmp::Reverse, f64::consts::FRAC_PI_2, ops::Range};
 
@@ -7,21 +8,22 @@ use rayon::prelude::*;
 
 use super::{charts::Chart, raster::pixels_around};
 
-/// Where each chart lies.
+/// Scale, gutter and placement of all charts.
 pub(super) struct Packing {
     /// Texels per world unit.
     pub(super) scale: f64,
-    /// Texels kept free around each chart; 0 if only so many that no bilinear sample of one has a part in another.
+    /// Texels kept free around each chart; 0 for only as many as keep bilinear samples of one chart from reading
+    /// another.
     pub(super) gutter: usize,
-    /// `[charts]`.
+    /// Placements, `[charts]`.
     pub(super) places: Vec<Place>,
 }
 
-/// A chart's place: turned, then shifted.
+/// Placement of a chart: rotation, then shift.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Place {
     turn: DVec2,
-    /// Texels.
+    /// Shift, texels.
     shift: DVec2,
 }
 
@@ -32,8 +34,9 @@ impl Place {
     }
 }
 
-/// Turns a chart so that its bounding rectangle is small and upright, with the low corner at the origin. Of a triangle that is longer than
-/// `longest`, and no cut makes shorter, lengths shrink to that: one sliver does not take their texels from all others.
+/// Rotates a chart so that its bounding rectangle is small and upright, with the low corner at the origin. Extents
+/// above `longest`, which only single triangles reach that no cut makes shorter, are scaled down to it: one sliver must
+/// not take the texels of all others.
 pub(super) fn straighten(chart: &mut Chart, longest: f64) {
     let bounds = |angle: f64| {
         let turn = DVec2::from_angle(angle);
@@ -45,7 +48,7 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
         (high - low).element_product()
     };
     let edges = chart.corners.iter().flat_map(|&[a, b, c]| [b - a, c - b, a - c]);
-    // Along which a sliver is as narrow as it is.
+    // A sliver is narrowest along its longest edge.
     let longest_edge = edges.max_by(|a, b| a.length_squared().total_cmp(&b.length_squared())).unwrap_or(DVec2::X);
     let angles = (0..30).map(|i| f64::from(i) * FRAC_PI_2 / 30.0).chain([-longest_edge.to_angle()]);
     let mut best = angles.min_by(|&a, &b| area(a).total_cmp(&area(b))).unwrap_or(0.0);
@@ -54,7 +57,7 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
         best += FRAC_PI_2;
     }
     let ((low, high), turn) = (bounds(best), DVec2::from_angle(best));
-    // What has no extent is divided into infinity, and kept as it is.
+    // A zero extent gives an infinite quotient, which leaves it unchanged.
     let shrink = (longest / (high - low)).min(DVec2::ONE);
     for p in chart.corners.iter_mut().flatten() {
         // The maximum guards against a rounding below zero.
@@ -62,21 +65,22 @@ pub(super) fn straighten(chart: &mut Chart, longest: f64) {
     }
 }
 
-/// A wider gutter is taken as long as it leaves this part of the scale that one of a texel allows, and that one as long as it leaves as
-/// much of what is possible.
+/// Least fraction of the scale with a one-texel gutter at which a wider one is used; likewise for a one-texel gutter
+/// relative to the largest possible scale.
 const GUTTER_WORTH: f64 = 0.92;
-/// By how much the scale falls until charts fit, at least.
+/// Factor by which the scale falls, at least, between attempts until charts fit.
 const STEP: f64 = 0.96;
-/// Cells of a side that charts are laid out on at most, or as many per root of their number, whichever is more: in larger atlases a cell is
-/// several texels.
+/// Most cells along a side of the packing grid, or as many per root of the number of charts, whichever is more: in
+/// larger atlases a cell is several texels.
 const MOST_CELLS: usize = 512;
 const CELLS_PER_CHART: f64 = 16.0;
-/// Turns that are tried of each chart: quarters, the same everywhere.
+/// Rotations tried for each chart: quarter turns, exact on every machine.
 const TURNS: [DVec2; 4] = [DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y];
 
-/// All charts in `side`×`side` texels, at about the largest scale they fit at. Gutters are up to `widest` texels on each side, of 4, 2, 1 and
-/// what bilinear samples need the widest that costs little of the resolution: maps are trained through their mips, and a texel is floats
-/// that a splat could have had. `None` if the charts do not fit at any useful scale. `area` is the charts' total.
+/// Packs all charts into `side`×`side` texels, at about the largest scale at which they fit. Gutters on each side are
+/// the widest, out of 4, 2, 1 texels (up to `widest`) and the minimum for bilinear samples, that costs little
+/// resolution: maps are trained through their mips, and a texel is floats that a splat could have had. `None` if the
+/// charts do not fit at any useful scale. `area` is the charts' total.
 pub(super) fn pack(charts: &[Chart], area: f64, side: usize, widest: usize) -> Option<Packing> {
     // Scale at which the charts would fill the atlas.
     let full = side as f64 / area.sqrt();
@@ -94,7 +98,8 @@ pub(super) fn pack(charts: &[Chart], area: f64, side: usize, widest: usize) -> O
     Some(chosen)
 }
 
-/// The largest scale of a range with this gutter to 1 %, if charts fit at its start.
+/// The largest scale of a range, to within 1 %, at which charts fit with this gutter; `None` if they do not fit at its
+/// start.
 fn largest_scale(charts: &[Chart], range: Range<f64>, side: usize, gutter: usize) -> Option<Packing> {
     let grid = Grid::new(side, gutter, charts.len());
     let (mut scale, mut places) = (range.start, grid.place_all(charts, range.start).ok()?);
@@ -115,25 +120,25 @@ fn largest_scale(charts: &[Chart], range: Range<f64>, side: usize, gutter: usize
     Some(Packing { scale, gutter, places })
 }
 
-/// How an atlas is divided for packing.
+/// Division of an atlas into cells for packing.
 struct Grid {
-    /// Texels of a cell's side.
+    /// Side of a cell, texels.
     cell: usize,
-    /// Cells of the atlas's side.
+    /// Cells along the atlas's side.
     cells: usize,
-    /// Cells around a chart's points within which cells are its own, along either axis.
+    /// Distance from a chart's points, cells along either axis, within which cells belong to the chart.
     reach: f64,
-    /// Texels from a footprint's corner to the least coordinates of the chart in it.
+    /// Distance from a footprint's corner to the least coordinates of the chart in it, texels.
     inset: f64,
 }
 
-/// A chart in one of its turns: the cells that it takes, those of each row in runs.
+/// A chart in one of its rotations: the cells that it takes, as runs per row.
 struct Footprint {
     turn: DVec2,
-    /// The turned chart's least coordinates in texels.
+    /// Least coordinates of the rotated chart, texels.
     low: DVec2,
     width: usize,
-    /// Per row the first cell and the number of cells of each run.
+    /// Runs per row: first cell and number of cells.
     rows: Vec<Vec<[usize; 2]>>,
     count: usize,
 }
@@ -141,22 +146,22 @@ struct Footprint {
 impl Grid {
     fn new(side: usize, gutter: usize, charts: usize) -> Self {
         let cell = side.div_ceil(MOST_CELLS.max((CELLS_PER_CHART * (charts as f64).sqrt()) as usize));
-        // A bilinear sample has a part in the texels whose centres are less than one texel from it.
+        // A bilinear sample reads texels whose centres are less than one texel from it.
         let texels = if gutter == 0 { 0.999 } else { gutter as f64 + 0.5 };
-        // Of a cell the centre of any texel counts.
+        // A cell counts if the centre of any of its texels does.
         let reach = (texels + (cell - 1) as f64 / 2.0) / cell as f64;
         Self { cell, cells: side / cell, reach, inset: texels - 0.49 }
     }
 
-    /// Where each chart lies at `scale` texels to a unit, in the order of those tried that works first; or if none does, what part of it to
-    /// try next.
+    /// Placement of each chart at `scale` texels per unit, in the first order tried that works; or, if none does, the
+    /// factor on the scale to try next.
     fn place_all(&self, charts: &[Chart], scale: f64) -> Result<Vec<Place>, f64> {
         let footprints: Vec<Vec<Footprint>> =
             charts.par_iter().map(|c| self.footprints(c, scale)).collect::<Option<_>>().ok_or(STEP)?;
         let count = footprints.iter().map(|f| f[0].count).sum::<usize>() as f64;
         let room = (self.cells * self.cells) as f64;
         if count > room {
-            // With the square of the scale fall at most those cells that are not of gutters.
+            // At most the cells outside gutters fall with the square of the scale.
             return Err((room / count).sqrt().min(STEP));
         }
         let sizes: [fn(&Footprint) -> usize; 2] = [|f| f.rows.len().max(f.width), |f| f.count];
@@ -164,7 +169,7 @@ impl Grid {
         tried.collect::<Vec<_>>().into_iter().flatten().next().ok_or(STEP)
     }
 
-    /// The footprints of a chart in all turns that the atlas has room for. `None` if there is none.
+    /// Footprints of a chart in all rotations that fit the atlas; `None` if none does.
     fn footprints(&self, chart: &Chart, scale: f64) -> Option<Vec<Footprint>> {
         let found: Vec<Footprint> = TURNS.into_iter().filter_map(|turn| self.footprint(chart, scale, turn)).collect();
         (!found.is_empty()).then_some(found)
@@ -177,7 +182,7 @@ impl Grid {
             points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
         let cell = self.cell as f64;
         let extent = (high - low + 2.0 * self.inset) / cell;
-        // Also none, or more than a number holds.
+        // Also rejects NaN and numbers too large to convert.
         if !extent.cmple(DVec2::splat(self.cells as f64 + 1.0)).all() {
             return None;
         }
@@ -197,13 +202,14 @@ impl Grid {
         (width <= self.cells && rows.len() <= self.cells).then_some(Footprint { turn, low, width, rows, count })
     }
 
-    /// Each chart at the lowest place that is left, the largest first.
+    /// Places each chart at the lowest free position, the largest first.
     fn place_by(&self, footprints: &[Vec<Footprint>], size: impl Fn(&Footprint) -> usize) -> Option<Vec<Place>> {
         let mut order: Vec<(usize, usize)> = footprints.iter().map(|f| size(&f[0])).zip(0..).collect();
         order.sort_by_key(|&(size, chart)| (Reverse(size), chart));
         let mut taken = Taken::new(self.cells);
         let mut places = vec![Place::default(); footprints.len()];
-        // Where one of the same size found no place the others do not look: of many small ones most are.
+        // Charts of equal size do not search rows where one of them found no place: of many small charts most have the
+        // same size.
         let (mut last, mut from) = (usize::MAX, [0; TURNS.len()]);
         for (size, chart) in order {
             if size != last {
@@ -227,7 +233,7 @@ impl Grid {
     }
 }
 
-/// The runs of a row: where each starts, and how long it is.
+/// Runs of set cells in a row: start and length.
 fn runs(row: &[bool]) -> Vec<[usize; 2]> {
     let mut start = 0;
     let mut found = Vec::new();
@@ -240,12 +246,12 @@ fn runs(row: &[bool]) -> Vec<[usize; 2]> {
     found
 }
 
-/// The cells that are taken, a bit each, in rows of whole words.
+/// Occupied cells, a bit each, in rows of whole words.
 struct Taken {
     cells: usize,
     words: usize,
     bits: Vec<u64>,
-    /// Per row the longest run of cells that are free.
+    /// Longest run of free cells in each row.
     free: Vec<usize>,
 }
 
@@ -259,14 +265,14 @@ impl Taken {
         &self.bits[y * self.words..][..self.words]
     }
 
-    /// Column and row of the lowest place `from` some row on where the footprint is clear of all that is taken and its top is lower than
-    /// `below`, the leftmost of those.
+    /// Column and row of the lowest position, from row `from` on, at which the footprint overlaps nothing and its top
+    /// is below row `below`; the leftmost if there are several.
     fn lowest(&self, footprint: &Footprint, from: usize, below: usize) -> Option<[usize; 2]> {
         let height = footprint.rows.len();
         let last = below.min(self.cells + 1).checked_sub(height + 1)?;
         let longest: Vec<usize> =
             footprint.rows.iter().map(|row| row.iter().map(|run| run[1]).max().unwrap_or(0)).collect();
-        // The longest are what most places fail by.
+        // Rows with the longest runs first, as these reject most positions.
         let mut order: Vec<usize> = (0..height).collect();
         order.sort_by_key(|&row| Reverse(longest[row]));
         let (mut blocked, mut shifted) = (vec![0; self.words], vec![0; self.words]);
@@ -307,13 +313,13 @@ impl Taken {
     }
 }
 
-/// Marks the columns at which a run of `n` cells, `start` cells farther, meets one of `row`.
+/// Marks the columns at which a run of `n` cells, offset by `start`, would overlap an occupied cell of `row`.
 fn block(row: &[u64], start: usize, n: usize, shifted: &mut [u64], blocked: &mut [u64]) {
     shifted.copy_from_slice(row);
     let mut reached = 1;
     while reached < n {
         let step = reached.min(n - reached);
-        // In rising order, so that what is read is as it was.
+        // In rising order, so that words are read before they are changed.
         for i in 0..shifted.len() {
             shifted[i] |= word_at(shifted, i, step);
         }
@@ -324,20 +330,20 @@ fn block(row: &[u64], start: usize, n: usize, shifted: &mut [u64], blocked: &mut
     }
 }
 
-/// The word `i` of bits that are shifted down by `by`.
+/// Word `i` of `bits` shifted down by `by`.
 fn word_at(bits: &[u64], i: usize, by: usize) -> u64 {
     let get = |i: usize| bits.get(i).copied().unwrap_or(0);
     let (words, by) = (i + by / 64, by % 64);
     if by == 0 { get(words) } else { get(words) >> by | get(words + 1) << (64 - by) }
 }
 
-/// The first of so many bits that is not set.
+/// Index of the first clear bit among the first `count`.
 fn first_clear(bits: &[u64], count: usize) -> Option<usize> {
     let (i, word) = bits.iter().enumerate().find(|(_, word)| **word != u64::MAX)?;
     Some(64 * i + word.trailing_ones() as usize).filter(|at| *at < count)
 }
 
-/// The longest run of the first so many bits that are not set.
+/// Length of the longest run of clear bits among the first `count`.
 fn longest_free(bits: &[u64], count: usize) -> usize {
     let (mut longest, mut from) = (0, 0);
     for (i, &word) in bits.iter().enumerate() {

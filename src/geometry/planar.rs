@@ -1,5 +1,5 @@
-//! Flat regions of a surface: planes are grown over it, its vertices set into them, and what lies in them is meshed anew with few
-//! triangles.
+//! Planar regions of a surface: planes are grown over it, its vertices moved into them, and the regions retriangulated
+//! with few triangles.
 
 use std::collections::HashMap;
 
@@ -9,55 +9,59 @@ use super::Contraction;
 use super::smooth::{Rings, directions};
 use super::surface::{Surface, compact, without_broken};
 
-/// Vertices of a plane are at most so many voxels from it. The noise that smoothing leaves is below that.
+/// Largest distance of a vertex from its plane, voxels. The noise that smoothing leaves is below that.
 const TOLERANCE: f64 = 1.0;
-/// Least cosine between a plane and the surface's direction over some edges around a vertex of it: 26°.
+/// Least cosine between a plane and the surface normal averaged over some edges around a vertex of it: 26°.
 const LEAST_COSINE: f64 = 0.9;
-/// Least area of a plane in square voxels: 12×12. Smaller parts of what is round pass for flat within the tolerance.
+/// Least area of a plane, square voxels: 12×12. Smaller parts of a round shape pass for flat within the tolerance.
 const LEAST_AREA: f64 = 150.0;
-/// Edges within planes become at most so many times as long as those of all would be if the target of triangles were spread evenly.
-/// Larger triangles could only be kept or dropped as a whole when training judges them.
+/// Largest length of edges within planes, relative to edges of the whole surface if the target number of triangles were
+/// spread evenly. Larger triangles could only be kept or dropped as a whole when training judges them.
 const COARSENESS: f64 = 4.0;
-/// Edges over which the direction of the surface is averaged.
+/// Radius, edges, over which surface normals are averaged.
 const RADIUS: usize = 4;
-/// A plane begins with what is near its first vertex, in voxels, and is fitted so often while it grows.
+/// Reach of the first region around a plane's first vertex, voxels; and number of fits while it grows.
 const SEED_REACH: f64 = 6.0;
 const ROUNDS: usize = 16;
-/// The heights of a plane are this many tolerances at most, as the root of their mean square: what is cut out of something larger
-/// that is round fills the tolerance evenly, and has 0.45 to 0.58 of it.
+/// Largest root-mean-square height above a plane, in tolerances: a region cut out of something larger that is round
+/// fills the tolerance evenly, and has 0.45 to 0.58.
 const ROUGHEST: f64 = 0.35;
-/// So many refused regions a vertex is part of at most: bumps of what is rough all refit to the same plane, and each would grow all over it.
+/// Most rejected regions a vertex may be part of: bumps of a rough area all refit to the same plane, and each would
+/// grow all over it.
 const MOST_REFUSALS: u8 = 4;
-/// What is beside a plane joins it over so many edges if it is within the tolerance and up to 60° inclined to it: single bumps, and
-/// rounded edges between two planes. Over twice the tolerance, rims and what stands on the plane were flattened along.
+/// Number of edges over which vertices beside a plane join it if within the tolerance and inclined by up to 60°: single
+/// bumps, and rounded edges between two planes. With twice the number, rims and what stands on the plane were flattened
+/// too.
 const CLOSING_PASSES: usize = 4;
 const CLOSING_COSINE: f64 = 0.5;
-/// No vertex is moved by more tolerances than that, be it onto the line between two planes.
+/// Largest distance that a vertex is moved, in tolerances, including onto the line between two planes.
 const FARTHEST: f64 = 3.0;
-/// Squared sine of the least angle between planes that have a line or point in common, 2°: else a vertex is set into the first of the two
-/// only.
+/// Squared sine of the least angle, 2°, between planes that a vertex is moved into together: below, it is moved into
+/// the first of the two only.
 const LEAST_SINE_SQUARED: f64 = 1.2e-3;
-/// Planes become coarser in so many passes, to the longest edge allowed: at once, triangles would be uneven.
+/// Number of passes in which planes become coarser, up to the longest edge allowed: in a single pass triangles would be
+/// uneven.
 const PASSES: u32 = 6;
-/// No triangle becomes thinner than this shape by that, 1 for an equilateral one, if it was not before.
+/// Least shape of triangles made by that, 1 for an equilateral one, unless they were worse before.
 const LEAST_SHAPE: f64 = 0.3;
-/// Planar triangles must keep this part of a square voxel, twice, or their vertices stay: what is thinner may vanish by rounding.
+/// Least doubled area of planar triangles, square voxels; otherwise their vertices stay: thinner ones may vanish by
+/// rounding.
 const THINNEST: f64 = 1e-3;
-/// In no plane.
+/// No plane.
 const NONE: u32 = u32::MAX;
 
-/// What was flat, and what was made of it.
+/// Counts of planes and of triangles in them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlanarStats {
     /// Planes found.
     pub planes: usize,
-    /// Triangles in them.
+    /// Triangles in the planes before retriangulation.
     pub before: usize,
-    /// Triangles that took their place.
+    /// Triangles in the planes after it.
     pub after: usize,
 }
 
-/// `normal`·p = `offset`
+/// The plane `normal`·p = `offset`.
 #[derive(Clone, Copy, Debug)]
 struct Plane {
     normal: DVec3,
@@ -70,11 +74,11 @@ impl Plane {
     }
 }
 
-/// Makes flat regions flat and meshes them anew; a vertex stays if it were to move far or fold a triangle over by moving. Nothing
-/// else changes but what [`without_broken`] drops, and the surface stays as closed as it was. With a `contraction`
-/// the surface and its voxels lie in contracted space, and what is flat is so in the world. `voxel` is the edge of one. Also returns
-/// which vertices `[V]` a simplification to `target_triangles` should keep, lest the triangles of planes become much larger than
-/// those of the rest.
+/// Flattens planar regions and retriangulates them; a vertex stays if it would move far or fold a triangle over.
+/// Nothing else changes, except that triangles dropped by [`without_broken`] go, and the surface stays as closed as it
+/// was. With a `contraction` the surface and its voxels lie in contracted space, while flatness is judged in the world.
+/// `voxel` is the edge length of a voxel. Also returns which vertices `[V]` a simplification to `target_triangles`
+/// should keep, lest the triangles of planes become much larger than those of the rest.
 #[must_use]
 pub(super) fn flatten(
     surface: Surface,
@@ -107,14 +111,14 @@ pub(super) fn flatten(
     (surface, keep, PlanarStats { planes: planes.len(), before, after })
 }
 
-/// What growing regions have come past.
+/// Bookkeeping of growing regions.
 struct Search {
-    /// By vertex, the last that did.
+    /// Last region that visited each vertex.
     passed: Vec<u32>,
     number: u32,
-    /// By vertex, regions that were no planes.
+    /// Number of rejected regions that each vertex was part of.
     refusals: Vec<u8>,
-    /// Vertices of all regions.
+    /// Total number of vertices of all regions.
     #[cfg(test)]
     visits: usize,
 }
@@ -135,17 +139,17 @@ impl Search {
     }
 }
 
-/// A surface with what growing planes asks of it. Lengths are in voxels.
+/// A surface with the data for growing planes. Lengths are in voxels.
 struct Sheet {
     contraction: Option<Contraction>,
-    /// In the world.
+    /// Positions in the world.
     positions: Vec<DVec3>,
-    /// In contracted space.
+    /// Positions in contracted space.
     places: Vec<DVec3>,
     rings: Rings,
     /// Mean of unit normals around each vertex, shorter than 1 where the surface bends.
     directions: Vec<DVec3>,
-    /// In contracted space, a third of that of the triangles at each vertex.
+    /// Area of each vertex in contracted space, a third of that of its triangles.
     areas: Vec<f64>,
 }
 
@@ -165,23 +169,23 @@ impl Sheet {
         Self { contraction, positions, places, rings, directions, areas }
     }
 
-    /// Where a point of the world comes to lie in contracted space.
+    /// Contracted position of a world point.
     fn place(&self, p: DVec3) -> DVec3 {
         self.contraction.map_or(p, |c| c.contract(p))
     }
 
-    /// Voxels to a world unit at a vertex along a direction: 1 but for what is contracted.
+    /// Voxels per world unit at a vertex along a direction: 1 except in contracted space.
     fn scale(&self, v: usize, direction: DVec3) -> f64 {
         self.contraction.map_or(1.0, |c| c.along(self.positions[v], direction).length())
     }
 
-    /// Voxels that a vertex is above a plane.
+    /// Height of a vertex above a plane, voxels.
     fn height(&self, plane: &Plane, v: usize) -> f64 {
         plane.height(self.positions[v]) * self.scale(v, plane.normal)
     }
 
-    /// All planes, and which one each vertex is in. The cost is linear in the vertices: none is in more than [`MOST_REFUSALS`] regions and a plane,
-    /// of [`ROUNDS`] each.
+    /// All planes, and the plane of each vertex. The cost is linear in the vertices: none is in more than
+    /// [`MOST_REFUSALS`] regions and a plane, of [`ROUNDS`] each.
     fn planes(&self, search: &mut Search) -> (Vec<Plane>, Vec<u32>) {
         let count = self.positions.len();
         let (mut planes, mut of_vertex) = (vec![], vec![NONE; count]);
@@ -207,11 +211,11 @@ impl Sheet {
                     break;
                 }
             }
-            // What is refused is not tried again: the flattest beginnings come first, and it may be large.
+            // Rejected regions are not tried again: the flattest seeds come first, and a region may be large.
             region.iter().for_each(|&v| tried[v] = true);
             let area: f64 = region.iter().map(|&v| self.areas[v]).sum();
             let is_flat = self.roughness(&plane, &region) <= ROUGHEST * TOLERANCE;
-            // Refitted, it may have left its first vertex behind.
+            // After refitting, the seed may no longer belong to the plane.
             region.retain(|&v| v != seed || self.belongs(v, &plane));
             if area >= LEAST_AREA && is_flat {
                 region.iter().for_each(|&v| of_vertex[v] = planes.len() as u32);
@@ -223,13 +227,13 @@ impl Sheet {
         (planes, of_vertex)
     }
 
-    /// Whether a vertex is near a plane, and the surface around it inclined as that is.
+    /// Whether a vertex is near a plane, and the surface around it has a similar normal.
     fn belongs(&self, v: usize, plane: &Plane) -> bool {
         let direction = self.directions[v];
         self.height(plane, v).abs() <= TOLERANCE && plane.normal.dot(direction) >= LEAST_COSINE * direction.length()
     }
 
-    /// Vertices near a plane that are connected to the seed and in no other, the seed first.
+    /// Vertices near a plane that are connected to the seed and in no other plane, the seed first.
     fn grown(&self, seed: usize, plane: &Plane, reach: f64, of_vertex: &[u32], search: &mut Search) -> Vec<usize> {
         search.number += 1;
         search.passed[seed] = search.number;
@@ -260,7 +264,7 @@ impl Sheet {
         region
     }
 
-    /// The plane of least squares of heights above this one, weighted by area.
+    /// Least-squares fit of a plane to heights above the given one, weighted by area.
     fn fitted(&self, plane: &Plane, region: &[usize]) -> Option<Plane> {
         let weight = |v: usize| self.areas[v] * self.scale(v, plane.normal).powi(2);
         let total: f64 = region.iter().map(|&v| weight(v)).sum();
@@ -273,13 +277,13 @@ impl Sheet {
             matrix += DMat2::from_cols(u.dot(p) * at, v.dot(p) * at);
             right += plane.normal.dot(p) * at;
         }
-        // At the centre the height is that of the plane: the sums of both coordinates are zero.
+        // At the centre the height is that of the plane, as both coordinates sum to zero.
         let slope = matrix.inverse() * right;
         let normal = (plane.normal - slope.x * u - slope.y * v).try_normalize()?;
         Some(Plane { normal, offset: normal.dot(center) })
     }
 
-    /// Root of the mean square of heights above a plane.
+    /// Root-mean-square height above a plane.
     fn roughness(&self, plane: &Plane, region: &[usize]) -> f64 {
         let (mut sum, mut total) = (0.0, 0.0);
         for &v in region {
@@ -289,7 +293,7 @@ impl Sheet {
         (sum / total).sqrt()
     }
 
-    /// What is beside a plane joins the nearest.
+    /// Lets vertices beside planes join the nearest one.
     fn close(&self, planes: &[Plane], of_vertex: &mut [u32]) {
         let height = |plane: u32, v: usize| self.height(&planes[plane as usize], v).abs();
         for _ in 0..CLOSING_PASSES {
@@ -312,11 +316,11 @@ impl Sheet {
         }
     }
 
-    /// Positions of all vertices, those of planes in them, and the planes that each one is in now.
+    /// Positions of all vertices, with those of planes moved into them, and the planes that each is in.
     fn snapped(&self, triangles: &[[u32; 3]], planes: &[Plane], of_vertex: &[u32]) -> (Vec<DVec3>, Vec<Vec<u32>>) {
         let mut planes_of: Vec<Vec<u32>> =
             of_vertex.iter().map(|&plane| if plane == NONE { vec![] } else { vec![plane] }).collect();
-        // Of a triangle between two planes the vertices in the first move onto the second, too.
+        // If a triangle lies between two planes, its vertices in the first also move onto the second.
         for t in triangles {
             for (&a, &b) in t.iter().flat_map(|a| t.iter().map(move |b| (a, b))) {
                 let (of_a, of_b) = (of_vertex[a as usize], of_vertex[b as usize]);
@@ -325,12 +329,13 @@ impl Sheet {
                 }
             }
         }
-        // Where a vertex comes to lie in its planes. Those that are nearly as others before, or as their line, are left out.
+        // Position of a vertex moved into its planes. Planes nearly equal to earlier ones, or containing nearly their
+        // common line, are left out.
         let set = |v: usize, on: &mut Vec<u32>| {
             let (mut p, mut used) = (self.positions[v], Vec::<DVec3>::new());
             on.retain(|&i| {
                 let plane = &planes[i as usize];
-                // The shortest way into this plane along those before.
+                // The shortest way into this plane along the earlier ones.
                 let along = used.iter().fold(plane.normal, |d, n| d - d.dot(*n) * n);
                 let differs = along.length_squared() >= LEAST_SINE_SQUARED;
                 if differs {
@@ -342,7 +347,7 @@ impl Sheet {
             p
         };
         let mut positions: Vec<DVec3> = planes_of.iter_mut().enumerate().map(|(v, on)| set(v, on)).collect();
-        // Those that may not stay where they were set, first what goes too far and then what folds.
+        // Vertices that may not stay where they were moved: first those moved too far, then those that fold a triangle.
         let farthest = FARTHEST * TOLERANCE;
         let is_far = |v: &usize| self.place(positions[*v]).distance(self.places[*v]) > farthest;
         let mut back: Vec<usize> = (0..positions.len()).filter(is_far).collect();
@@ -352,7 +357,7 @@ impl Sheet {
                 return (positions, planes_of);
             }
             for v in back {
-                // From several planes into its own, from there to where it was.
+                // From several planes back into the first, and from there to the original position.
                 let left = usize::from(planes_of[v].len() > 1);
                 planes_of[v].truncate(left);
                 positions[v] = set(v, &mut planes_of[v]);
@@ -372,7 +377,7 @@ impl Sheet {
     }
 }
 
-/// As long as twice the triangle's area.
+/// Normal of a triangle, as long as twice its area.
 fn cross(positions: &[DVec3], t: &[u32; 3]) -> DVec3 {
     let [a, b, c] = t.map(|v| positions[v as usize]);
     (b - a).cross(c - a)
@@ -383,15 +388,16 @@ fn common_plane(planes_of: &[Vec<u32>], t: &[u32; 3]) -> Option<u32> {
     a.iter().copied().find(|plane| b.contains(plane) && c.contains(plane))
 }
 
-/// A mesh whose planar part becomes coarser by moving vertices onto others, without leaving its planes or changing its topology.
+/// A mesh whose planar part is coarsened by collapsing vertices onto others, without leaving its planes or changing its
+/// topology.
 struct Planar<'a> {
     triangles: Vec<[u32; 3]>,
     gone: Vec<bool>,
-    /// Per triangle, [`NONE`] outside of planes.
+    /// Plane of each triangle, or [`NONE`].
     plane_of_face: Vec<u32>,
     /// Triangles at each vertex.
     at: Vec<Vec<u32>>,
-    /// In the world and in contracted space.
+    /// Positions in the world; `places` are those in contracted space.
     positions: &'a [DVec3],
     places: &'a [DVec3],
     planes: &'a [Plane],
@@ -423,13 +429,13 @@ impl<'a> Planar<'a> {
         ring
     }
 
-    /// Whether planes lie all around a vertex.
+    /// Whether a vertex is surrounded by planar triangles.
     fn is_within(&self, v: u32) -> bool {
         let at = &self.at[v as usize];
         !at.is_empty() && at.iter().all(|&f| self.plane_of_face[f as usize] != NONE) && self.ring(v).len() == at.len()
     }
 
-    /// Removes vertices as long as no edge gets longer than `longest`.
+    /// Collapses vertices as long as no edge gets longer than `longest`.
     fn thin_out(&mut self, longest: f64) {
         for v in 0..self.positions.len() as u32 {
             if !self.is_within(v) {
@@ -448,7 +454,7 @@ impl<'a> Planar<'a> {
         }
     }
 
-    /// 1 for an equilateral triangle, towards 0 for a needle, less for what is folded over in its plane.
+    /// Shape of a triangle: 1 if equilateral, towards 0 for a needle, negative if folded over in its plane.
     fn shape(&self, face: u32, t: [u32; 3]) -> f64 {
         let normal = self.planes[self.plane_of_face[face as usize] as usize].normal;
         let [a, b, c] = t.map(|v| self.places[v as usize]);
@@ -458,12 +464,12 @@ impl<'a> Planar<'a> {
         if is_up { 2.0 * 3.0_f64.sqrt() * area / squares } else { -1.0 }
     }
 
-    /// The worst shape that moving `v` onto `n` leaves; `None` if it may not be moved there.
+    /// Worst shape left by collapsing `v` onto `n`; `None` if that is not allowed.
     fn shape_after(&self, v: u32, n: u32, ring: &[u32], longest: f64) -> Option<f64> {
         let onto = self.places[n as usize];
         let on = &self.planes_of[n as usize];
         let stays = self.planes_of[v as usize].iter().all(|plane| on.contains(plane));
-        // Of the vertices around both there are those of the two triangles that go, or the surface would pinch.
+        // The vertices around both must be exactly those of the two triangles removed, or the surface would pinch.
         let shared = self.ring(n).iter().filter(|o| ring.contains(o)).count();
         if !stays || shared != 2 || ring.len() < 4 {
             return None;

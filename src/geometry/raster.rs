@@ -1,4 +1,4 @@
-//! The pixels of a grid that belong to a triangle: those whose centres lie in it, or those that it touches.
+//! Rasterisation of triangles: pixels whose centres lie in a triangle, or which it touches.
 
 use std::ops::Range;
 
@@ -6,18 +6,19 @@ use glam::{DVec2, DVec3, Vec2};
 
 use super::bvh::closest_barycentrics;
 
-/// A weight may be so far below 0: of a centre on an edge that two triangles share it is rounded to either side.
+/// Tolerance on negative weights: the centre of a pixel on an edge shared by two triangles is rounded to either side.
 const ON_EDGE: f64 = 1e-12;
-/// Pixels within which places are taken for the same, so that rounding leaves none out.
+/// Distance, pixels, below which positions count as equal, so that rounding leaves no pixel out.
 const ROUNDING: f64 = 1e-6;
 
-/// Calls `each` with column, row and the weights of the three corners for every texel of `rows` whose centre lies in the triangle with
-/// these UVs, in an atlas of `size` texels, (width, height); centres on its edges lie in it. Of one without area there are none.
+/// Calls `each` with column, row and the three corner weights for every texel in `rows` whose centre lies in the
+/// triangle with these UVs, edges included, in an atlas of `size` texels (width, height). A triangle without area has
+/// none.
 pub(super) fn texels_in(uvs: &[Vec2; 3], size: [usize; 2], rows: Range<usize>, each: impl FnMut(usize, usize, DVec3)) {
     pixels_in(&texel_positions(uvs, size), size, rows, each);
 }
 
-/// The same with corners in pixels, (0, 0) at the centre of the first.
+/// As [`texels_in`], for corners in pixels, with (0, 0) at the centre of the first.
 pub(super) fn pixels_in(
     corners: &[DVec2; 3],
     size: [usize; 2],
@@ -39,8 +40,9 @@ pub(super) fn pixels_in(
     }
 }
 
-/// The same for every texel that is `wanted` and that the triangle touches, with the weights of its point nearest to the texel's centre;
-/// but for texels of which it cuts off a corner, farther from the centre than that point. What has no area is the line that it is.
+/// As [`texels_in`], for every texel that is `wanted` and that the triangle touches, with the weights of the triangle's
+/// point nearest to the texel's centre; except texels of which it only cuts off a corner, closer to it than to that
+/// point. A triangle without area is treated as a line.
 pub(super) fn texels_touched(
     uvs: &[Vec2; 3],
     size: [usize; 2],
@@ -60,8 +62,8 @@ pub(super) fn texels_touched(
     }
 }
 
-/// Columns and rows of the pixels of `rows` whose centres lie in the triangle or no farther than `reach` from it along both axes, and some
-/// beside them: no more than its length and area ask for, however it lies.
+/// Columns and rows of the pixels in `rows` whose centres lie in the triangle or within `reach` of it along both axes,
+/// and a few beside them: their number is bounded by the triangle's length and area, whatever its orientation.
 pub(super) fn pixels_around(
     &corners: &[DVec2; 3],
     reach: f64,
@@ -79,12 +81,12 @@ pub(super) fn pixels_around(
     })
 }
 
-/// From where to where a triangle's edges extend in x between two values of y; from infinity to −infinity where there are none.
+/// Range in x of a triangle's edges between two values of y; (∞, −∞) if there are none.
 fn span(corners: &[DVec2; 3], low: f64, high: f64) -> (f64, f64) {
     let mut found = (f64::INFINITY, f64::NEG_INFINITY);
     for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (corners[i], corners[j])) {
         let way = to - from;
-        // What is level is in between all along or nowhere.
+        // A level edge is in between entirely or not at all.
         let [enter, leave] = match (way.y == 0.0, (low..=high).contains(&from.y)) {
             (true, true) => [0.0, 1.0],
             (true, false) => [1.0, 0.0],
@@ -100,7 +102,7 @@ fn span(corners: &[DVec2; 3], low: f64, high: f64) -> (f64, f64) {
     found
 }
 
-/// The same corners in texels, (0, 0) at the centre of the first.
+/// Corner positions in texels, with (0, 0) at the centre of the first.
 pub(super) fn texel_positions(uvs: &[Vec2; 3], [width, height]: [usize; 2]) -> [DVec2; 3] {
     uvs.map(|uv| uv.as_dvec2() * DVec2::new(width as f64, height as f64) - 0.5)
 }

@@ -1,4 +1,5 @@
-//! From depth maps, or a volume in which they are fused, to a surface that is ready to be unwrapped.
+//! Surface reconstruction: from depth maps, or a volume in which they are fused, to a surface that is ready to be
+//! unwrapped.
 
 use std::ops::RangeInclusive;
 
@@ -12,24 +13,24 @@ use super::surface::{Surface, clean, simplify};
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
 
-/// What surface is wanted.
+/// Options of surface reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SurfaceOptions {
-    /// Components with fewer triangles are dropped.
+    /// Least number of triangles of a component; smaller ones are dropped.
     pub min_component_faces: usize,
-    /// Whether flat regions are found, made flat and meshed anew with few triangles.
+    /// Whether planar regions are flattened and retriangulated with few triangles.
     pub planar: bool,
-    /// Triangles after simplification, at most about.
+    /// Approximate upper bound on triangles after simplification.
     pub target_triangles: usize,
 }
 
-/// So many of the largest components are kept (2DGS).
+/// Number of the largest components that are kept (2DGS).
 const KEEP_COMPONENTS: usize = 50;
 
-/// What each step left.
+/// Counts after each step of surface reconstruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceStats {
-    /// That of the volume.
+    /// Contraction of the volume.
     pub contraction: Option<Contraction>,
     /// Views fused.
     pub views: usize,
@@ -39,22 +40,22 @@ pub struct SurfaceStats {
     pub extracted: usize,
     /// Triangles after cleaning.
     pub cleaned: usize,
-    /// Holes that were closed then.
+    /// Holes closed after cleaning.
     pub holes: usize,
-    /// Triangles that are not rough.
+    /// Triangles after dropping rough parts.
     pub even: usize,
-    /// What was flat of these.
+    /// Planar regions among these.
     pub planar: PlanarStats,
     /// Triangles after simplification.
     pub simplified: usize,
 }
 
-/// The surface of the depth maps of all cameras, fused in voxels as [`FusionOptions::suggest`] has them by `points` and `contraction`, but with a
-/// truncation of so many voxels; at the last of `resolutions`, or at less where voxels do not fit into memory. `depth_of` is that of
-/// [`Fusion::of_depths`].
+/// Fuses the depth maps of all cameras and reconstructs their surface. The volume follows [`FusionOptions::suggest`]
+/// for `points` and `contraction`, but with a truncation of `truncation` voxels, at the highest of `resolutions`, or at
+/// a lower one if voxels do not fit into memory. `depth_of` is that of [`Fusion::of_depths`].
 ///
 /// # Errors
-/// As there and of [`surface_from_fusion`].
+/// Those of [`Fusion::of_depths`] and [`surface_from_fusion`].
 pub(crate) fn surface_from_depths<E: From<GeometryError>>(
     cameras: &[Camera],
     points: &[Vec3],
@@ -72,8 +73,8 @@ pub(crate) fn surface_from_depths<E: From<GeometryError>>(
     Ok(surface_from_fusion(&fusion, options)?)
 }
 
-/// Extracts, cleans and simplifies the surface of a fused volume; in contracted space, if it is, so that what is far away is judged as it
-/// is seen.
+/// Extracts, cleans and simplifies the surface of a fused volume; with a contraction in contracted space, so that far
+/// content is judged by its apparent size.
 ///
 /// # Errors
 /// If no triangle is left; the message names the step.

@@ -1,4 +1,5 @@
-//! A surface for sky and far background: the part of a sphere around the scene that views see beyond everything else.
+//! Shell: a surface for sky and far background, the part of a sphere around the scene that views see beyond everything
+//! else.
 
 use std::collections::HashMap;
 
@@ -11,25 +12,26 @@ use super::surface::{Surface, compact};
 use crate::scene::{Camera, LARGEST_COORDINATE, center_and_spread};
 use crate::stats::quantile;
 
-/// Views that must see a triangle of it: what one view alone sees may be near.
+/// Least number of views that must see a triangle of the shell: what a single view sees may be near.
 const LEAST_VIEWS: u32 = 2;
-/// Radius that parallax asks for, in units of the cameras' spread, at most: beyond, f32 and viewers of others gain nothing. Points may ask for a
-/// larger one.
+/// Largest radius of the shell that parallax asks for, in units of the cameras' spread: beyond, nothing is gained,
+/// neither in f32 nor in other viewers. Points may ask for a larger one.
 const FARTHEST: f64 = 1000.0;
-/// So many times as far away as all but the outermost hundredth of the points.
+/// Radius of the shell relative to the distance of all but the outermost hundredth of the points.
 const BEYOND_POINTS: f64 = 4.0;
-/// Part of its radius that surfaces within may reach: from there on parallax between the centre and a camera is at most four times that at
-/// the shell.
+/// Distance of surfaces inside the shell, relative to its radius, up to which they are kept: from there on parallax
+/// between the centre and a camera is at most four times that at the shell.
 const FARTHEST_SURFACE: f64 = 0.25;
 /// Nothing else is where the shell is: all of the way to a point of it counts.
 const SAME_PLACE: f64 = 0.0;
 /// Edges across the field of view: its triangles are judged one by one.
 const EDGES_ACROSS: f64 = 6.0;
-/// Subdivisions of the icosahedron, at most.
+/// Most subdivisions of the icosahedron.
 const MOST_SUBDIVISIONS: u32 = 4;
 
-/// A sphere so far around the cameras that they all see it alike: from its centre and from the outermost camera its points are a
-/// pixel apart or less; with focal lengths of more than a thousand pixels, a thousandth of a radian.
+/// A sphere so far around the cameras that there is no visible parallax: seen from its centre and from the outermost
+/// camera, its points are at most a pixel apart, or, with focal lengths of more than a thousand pixels, a thousandth of
+/// a radian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shell {
     center: DVec3,
@@ -38,10 +40,10 @@ pub struct Shell {
 }
 
 impl Shell {
-    /// Triangles that it has at most.
+    /// Largest number of triangles of the shell.
     pub const MOST_TRIANGLES: usize = 20 * 4_usize.pow(MOST_SUBDIVISIONS);
 
-    /// Around the cameras, and the points as far as they are known. `None` where nothing says how large that is.
+    /// Shell around the cameras, and the points if there are any; `None` if neither gives a scale.
     #[must_use]
     pub fn around(cameras: &[Camera], points: &[Vec3]) -> Option<Self> {
         let (center, spread) = center_and_spread(cameras);
@@ -51,13 +53,13 @@ impl Shell {
         let radius = outer.max(spread * focal.min(FARTHEST));
         (radius > 0.0 && radius < LARGEST_COORDINATE).then(|| {
             let width = cameras.iter().map(field_of_view).fold(0.0, f64::max);
-            // 63.4° to the edge of an icosahedron.
+            // An edge of an icosahedron spans 63.4°.
             let halvings = (63.4_f64.to_radians() * EDGES_ACROSS / width).log2().ceil();
             Self { center, radius, subdivisions: halvings.clamp(1.0, f64::from(MOST_SUBDIVISIONS)) as u32 }
         })
     }
 
-    /// Whether a point is one of it, and not of what is within.
+    /// Whether a point lies on the shell rather than inside.
     #[must_use]
     pub fn holds(&self, point: Vec3) -> bool {
         (point.as_dvec3().distance(self.center) / self.radius - 1.0).abs() < 0.01
@@ -107,13 +109,13 @@ impl Shell {
     }
 }
 
-/// Of the longer side of the picture, radians.
+/// Angle of view along the longer side of the picture, radians.
 fn field_of_view(camera: &Camera) -> f64 {
     let k = camera.intrinsics();
     2.0 * (0.5 * f64::from(k.width) / k.fx).max(0.5 * f64::from(k.height) / k.fy).atan()
 }
 
-/// Unit vectors and triangles, counter-clockwise from outside.
+/// Unit vectors and triangles of a subdivided icosahedron, counter-clockwise from outside.
 fn icosphere(subdivisions: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let g = (1.0 + 5.0_f64.sqrt()) / 2.0;
     let rectangle = [[-1.0, g], [1.0, g], [-1.0, -g], [1.0, -g]];

@@ -1,33 +1,33 @@
-//! Noise of an extracted surface: smoothed where it is small, cut out where nothing but noise is left.
+//! Noise removal on an extracted surface: small noise is smoothed; parts that are nothing but noise are cut out.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::surface::{Surface, compact};
 
-/// Taubin's pair: each step forward is followed by a slightly longer one back, which passes shapes larger than some ten
-/// edges (pass band 0.1) and does not shrink them.
+/// Factors of Taubin smoothing: each step forward is followed by a slightly longer one back, which preserves shapes
+/// larger than some ten edges (pass band 0.1) and does not shrink them.
 const FORWARD: f32 = 0.5;
 const BACK: f32 = -0.526;
-/// Times that both are taken.
+/// Number of times that both steps are taken.
 const PASSES: usize = 20;
-/// Edges around a triangle over which its roughness is judged.
+/// Radius around a triangle, edges, over which its roughness is judged.
 const ROUGH_RADIUS: usize = 4;
-/// Least length of the mean of unit normals around a triangle that is not rough, which a right-angled edge passes.
+/// Least length of the mean of unit normals around a triangle for it not to be rough; a right-angled edge passes.
 const LEAST_DIRECTION: f64 = 0.6;
 
-/// Vertices around each vertex: `of[first[v]..first[v + 1]]`, ascending.
+/// Adjacency of vertices: the neighbours of `v` are `of[first[v]..first[v + 1]]`, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rings {
-    /// `[V + 1]`
+    /// Start of each vertex's neighbours in `of`, `[V + 1]`.
     pub first: Vec<u32>,
     /// Neighbours of all vertices.
     pub of: Vec<u32>,
 }
 
 impl Rings {
-    /// Of `count` vertices, below which all indices must be. Those on a border have only their neighbours along it: it
-    /// is smoothed as a curve and does not creep in.
+    /// Adjacency of `count` vertices; all indices must be below that. Vertices on a border have only their neighbours
+    /// along it: it is smoothed as a curve and does not creep in.
     #[must_use]
     pub fn new(count: usize, triangles: &[[u32; 3]]) -> Self {
         let mut edges: Vec<(u32, u32)> = (triangles.iter())
@@ -53,7 +53,7 @@ impl Rings {
         Self::of(count, directed)
     }
 
-    /// The same, but vertices on a border have all their neighbours.
+    /// Adjacency in which vertices on a border have all their neighbours.
     pub(super) fn full(count: usize, triangles: &[[u32; 3]]) -> Self {
         let pairs = |t: &[u32; 3]| [(0, 1), (1, 2), (2, 0), (1, 0), (2, 1), (0, 2)].map(|(i, j)| (t[i], t[j]));
         Self::of(count, triangles.iter().flat_map(pairs).collect())
@@ -68,13 +68,13 @@ impl Rings {
         Self { first, of: directed.into_iter().map(|e| e.1).collect() }
     }
 
-    /// Ascending.
+    /// Neighbours of `v`, ascending.
     pub(super) fn around(&self, v: usize) -> &[u32] {
         &self.of[self.first[v] as usize..self.first[v + 1] as usize]
     }
 }
 
-/// Taubin smoothing: noise of the size of an edge goes, shapes and volume stay. Indices must be in range.
+/// Taubin smoothing: removes noise of the size of an edge, preserves shapes and volume. Indices must be in range.
 pub(super) fn smooth(surface: &mut Surface) {
     let rings = Rings::new(surface.positions.len(), &surface.triangles);
     for step in (0..PASSES).flat_map(|_| [FORWARD, BACK]) {
@@ -91,7 +91,8 @@ pub(super) fn smooth(surface: &mut Surface) {
     }
 }
 
-/// Unit normals of vertices, averaged over their triangles by area; zero where there is none. Indices must be in range.
+/// Unit normals of vertices, averaged over their triangles by area; zero for a vertex without area. Indices must be in
+/// range.
 #[must_use]
 pub fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     let mut normals = vec![Vec3::ZERO; positions.len()];
@@ -103,8 +104,8 @@ pub fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     normals.into_iter().map(Vec3::normalize_or_zero).collect()
 }
 
-/// Means of unit normals, taken over some `radius` edges around each vertex: of length 1 on a plane, 0.7 along a right-angled edge,
-/// towards 0 in a heap of crumbs. Indices must be in range.
+/// Means of unit normals over some `radius` edges around each vertex: of length 1 on a plane, 0.7 along a right-angled
+/// edge, towards 0 in a heap of crumbs. Indices must be in range.
 pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Rings, radius: usize) -> Vec<DVec3> {
     let mut normals = vec![(DVec3::ZERO, 0.0_f64); positions.len()];
     for t in triangles {
@@ -115,7 +116,7 @@ pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Ri
             normals[v as usize].1 += cross.length();
         }
     }
-    // A walk of n² steps goes some n edges far.
+    // A random walk of n² steps reaches some n edges.
     for _ in 0..radius * radius {
         normals = (0..normals.len())
             .into_par_iter()
@@ -130,7 +131,7 @@ pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Ri
     normals.into_iter().map(|n| n.0).collect()
 }
 
-/// Drops triangles around which the surface has no direction. Indices must be in range.
+/// Drops triangles around which normals cancel, as in a heap of crumbs. Indices must be in range.
 #[must_use]
 pub(super) fn without_rough(surface: Surface) -> Surface {
     let rings = Rings::new(surface.positions.len(), &surface.triangles);

@@ -1,7 +1,7 @@
-//! A coarse surface from the points of structure from motion alone, in seconds: per view a Delaunay triangulation of the
-//! points that it sees, lifted to their depths; triangles that hide what another view sees are dropped. What is left says
-//! which edges lie on the surface: those that most views found are constraints of a second triangulation of every view. Its
-//! triangles are judged alike, rasterised to depth maps and fused.
+//! A coarse surface from sparse points alone, in seconds: per view a Delaunay triangulation of its visible points,
+//! lifted to their depths; triangles that occlude points seen by another view are dropped. The remaining edges tell
+//! which lie on the surface: those that most views found become constraints of a second triangulation of every view,
+//! whose triangles are judged likewise, rasterised to depth maps and fused.
 
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -19,81 +19,85 @@ use super::{Contraction, GeometryError};
 use crate::scene::Camera;
 use crate::stats::median;
 
-/// A camera and what it sees of a cloud of points.
+/// A camera and the points of a cloud that it sees.
 #[derive(Clone, Debug)]
 pub struct PointView {
-    /// Only its pose and field of view matter, not the size of its picture.
+    /// Camera; only its pose and field of view matter, not the size of its picture.
     pub camera: Camera,
-    /// Indices of the points found in its picture.
+    /// Indices of the visible points.
     pub sees: Vec<u32>,
-    /// Whether nobody knows which these are, so that they were decided by [`visible_points`].
+    /// Whether visibility is unknown and was estimated by [`visible_points`].
     pub guessed: bool,
 }
 
 impl PointView {
-    /// Where nothing else tells what a camera sees.
+    /// View with estimated visibility, where nothing else tells which points a camera sees.
     #[must_use]
     pub fn guess(camera: Camera, points: &[Vec3]) -> Self {
         Self { camera, sees: visible_points(&camera, points), guessed: true }
     }
 }
 
-/// Voxels along the depth range, least and most.
+/// Least and most voxels along the radius of the volume.
 const LEAST_RESOLUTION: u32 = 48;
 const MAX_RESOLUTION: u32 = 384;
 /// Truncation in voxels (2DGS).
 const TRUNCATION: f64 = 5.0;
-/// Longer side in pixels of the depth maps that are fused. Points are some ten pixels apart in it.
+/// Longer side, pixels, of the depth maps that are fused. Points are some ten pixels apart in them.
 const SIDE: u32 = 320;
 
-/// A triangle is no surface if it is seen more edge-on than this cosine: it spans a jump in depth.
+/// Least cosine between a triangle's normal and the direction of view: more edge-on ones span a jump in depth.
 const LEAST_COSINE: f64 = 0.17;
-/// Nor if it is longer than so many times the median edge of its view, both as seen: it spans what has no points.
+/// Largest length of a triangle's edges in the picture, in median edges of its view: longer ones span regions without
+/// points.
 const LONGEST_EDGE: f64 = 6.0;
-/// Views that must have an edge for it to be a constraint in others.
+/// Least number of views that must have an edge for it to be a constraint in others.
 const LEAST_AGREEING: u32 = 5;
-/// Rays from cameras to points that a triangle may stand in the way of: some points are wrong.
+/// Number of rays from cameras to points that a triangle may obstruct: some points are wrong.
 const ALLOWED_RAYS: u32 = 1;
-/// A triangle is in the way if it is nearer than the point by more than this part of its depth.
+/// Relative depth by which a triangle must be nearer than the point to obstruct the ray.
 const IN_THE_WAY: f64 = 0.03;
-/// Triangles that are judged at once: a hierarchy takes some 400 bytes for each while it is made, as much for all of these as voxels may take.
+/// Most triangles judged at once: a hierarchy takes some 400 bytes for each while it is built, as much for all of these
+/// as voxels may take.
 const MOST_AT_ONCE: usize = MAX_BYTES / 400;
-/// Triangles of the least connected piece of the fused surface (2DGS).
+/// Least number of triangles of a connected piece of the fused surface (2DGS).
 const LEAST_FACES: usize = 50;
-/// Cells across the longer side of the picture in which [`visible_points`] compares depths.
+/// Number of cells across the longer side of the picture in which [`visible_points`] compares depths.
 const CELLS: f64 = 48.0;
-/// Cells across in which of those points only the nearest is: two pixels of the depth maps.
+/// Number of finer cells across, in each of which only the nearest visible point is kept: two pixels of the depth maps.
 const FINE_CELLS: f64 = SIDE as f64 / 2.0;
-/// Points of a cell are taken for visible down to this many times the nearest depth.
+/// Largest depth, relative to the nearest in its cell, at which a point counts as visible.
 const SAME_SURFACE: f64 = 1.05;
 
-/// Triangles of points, and what they were made of.
+/// Counts of making a surface from points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseStats {
-    /// Views that there were.
+    /// Number of views.
     pub views: usize,
-    /// Those of which it is unknown what they see, and was decided by [`visible_points`].
+    /// Views whose visible points were estimated by [`visible_points`].
     pub guessed: usize,
     /// Triangles lifted from all views.
     pub lifted: usize,
-    /// Those that hide nothing that is seen.
+    /// Triangles among these that occlude nothing that is seen.
     pub clear: usize,
-    /// What fusion made of them.
+    /// Counts of the fusion of these triangles.
     pub surface: SurfaceStats,
 }
 
 impl SparseStats {
-    /// Whether what points are seen was guessed for half of the views or more.
+    /// Whether visibility was estimated for half of the views or more.
     #[must_use]
     pub fn is_guess(&self) -> bool {
         2 * self.guessed >= self.views
     }
 }
 
-/// Fuses a surface of at most about `triangles` triangles. With `planar` flat regions are made flat and meshed anew with few triangles.
+/// Makes a surface of approximately at most `triangles` triangles from the points that views see. With `planar`, planar
+/// regions are flattened and retriangulated with few triangles.
 ///
-/// For a point that a view sees two triangles are lifted, at most about. They take some 60 bytes each, and up to 2 GiB together while they are
-/// judged: twice, by a ray to every such point, and of more than 5 million of them (some 500 views of 5,000 points) each 5 million by all rays.
+/// About two triangles, at most, are lifted per point and view that sees it. They take some 60 bytes each, and up to 2
+/// GiB together while they are judged. That happens twice, by a ray to every such point; of more than 5 million
+/// triangles (some 500 views of 5,000 points) each 5 million are judged by all rays.
 ///
 /// # Errors
 /// Without cameras, if there are too few points, or if no surface is left.
@@ -127,7 +131,7 @@ pub fn surface_from_points(
     let cameras: Vec<Camera> = views.iter().map(|view| small(&view.camera)).collect();
     let space = Contraction::around(&cameras, points)?;
     let contraction = Contraction::if_unbounded(&cameras, points)?;
-    // Half an edge: finer voxels only hold the same facets.
+    // Half an edge: finer voxels would only resolve the same facets.
     let edge = median_edge(points, &clear, contraction.as_ref());
     let resolution = (2.0 * space.radius / edge).clamp(LEAST_RESOLUTION.into(), MAX_RESOLUTION.into()) as u32;
     let options = SurfaceOptions { min_component_faces: LEAST_FACES, planar, target_triangles: triangles };
@@ -139,8 +143,8 @@ pub fn surface_from_points(
     Ok((surface, stats))
 }
 
-/// The points that nothing hides, as far as points can tell: in every cell of the picture the nearest ones; of a cloud so dense that depth
-/// maps do not tell its points apart, a part. Their indices ascend.
+/// Indices, ascending, of the points that no others hide, as far as points can tell: in every cell of the picture the
+/// nearest ones. A cloud denser than the depth maps is subsampled.
 #[must_use]
 pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
     let (coarse, fine) = (Squares::across(CELLS, camera), Squares::across(FINE_CELLS, camera));
@@ -164,7 +168,7 @@ pub fn visible_points(camera: &Camera, points: &[Vec3]) -> Vec<u32> {
     visible
 }
 
-/// Squares that a picture is divided into.
+/// Division of a picture into squares.
 struct Squares {
     side: f64,
     columns: usize,
@@ -172,7 +176,7 @@ struct Squares {
 }
 
 impl Squares {
-    /// So many along the longer side.
+    /// Division with `count` squares along the longer side.
     fn across(count: f64, camera: &Camera) -> Self {
         let k = camera.intrinsics();
         let side = f64::from(k.longer_side()) / count;
@@ -189,13 +193,13 @@ impl Squares {
     }
 }
 
-/// Pixel and depth of a point in front of the camera and inside its picture.
+/// Pixel position and depth of a point in front of the camera and inside its picture.
 fn project(camera: &Camera, point: Vec3) -> Option<(DVec2, f64)> {
     let p = camera.to_camera(point.as_dvec3());
     Some((camera.in_picture(p)?, p.z))
 }
 
-/// The same view as a picture of `SIDE` pixels.
+/// The view at a size of `SIDE` pixels.
 fn small(camera: &Camera) -> Camera {
     let k = camera.intrinsics();
     let scale = f64::from(SIDE) / f64::from(k.longer_side());
@@ -203,7 +207,7 @@ fn small(camera: &Camera) -> Camera {
     camera.resized(side(k.width), side(k.height))
 }
 
-/// A point in a picture.
+/// A point projected into a picture.
 struct Seen {
     pixel: DVec2,
     point: u32,
@@ -217,8 +221,9 @@ impl HasPosition for Seen {
     }
 }
 
-/// For each view, of the edges between points that it sees, those of triangles that most of the views have which see both ends,
-/// [`LEAST_AGREEING`] at least: first those that more have. What few views have comes of points that the others lack.
+/// Constraints of each view: edges of triangles that most of the views which see both ends have, and at least
+/// [`LEAST_AGREEING`], sorted by decreasing number of views. Edges that only few views have stem from points that the
+/// others lack.
 fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<Vec<[u32; 2]>> {
     let mut found: HashMap<[u32; 2], u32> = HashMap::new();
     for triangles in triangles {
@@ -247,8 +252,8 @@ fn agreed(points: usize, seen: &[Vec<u32>], triangles: &[Vec<[u32; 3]>]) -> Vec<
     of_view
 }
 
-/// Delaunay triangles of what a camera sees, without those that cannot be a surface. They have those of the edges `constraints`
-/// whose ends are in its picture, but for edges that cross earlier ones.
+/// Delaunay triangles of the points that a camera sees, without those that cannot be a surface. They contain the edges
+/// `constraints` whose ends are in its picture, except edges that cross earlier ones.
 fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]) -> Vec<[u32; 3]> {
     let project = |&i: &u32| project(camera, points[i as usize]).map(|(pixel, _)| Seen { pixel, point: i });
     let seen = seen.iter().filter_map(project).collect();
@@ -281,8 +286,8 @@ fn lift(camera: &Camera, points: &[Vec3], seen: &[u32], constraints: &[[u32; 2]]
     delaunay.inner_faces().filter_map(surface).collect()
 }
 
-/// The triangles that stand in the way of no more than [`ALLOWED_RAYS`] rays from any camera to a point it sees, judged in parts of `most` of
-/// them: what is found of one does not depend on the others.
+/// The triangles that obstruct no more than [`ALLOWED_RAYS`] rays from any camera to a point it sees, judged in parts
+/// of `most` triangles: the verdict on one does not depend on the others.
 fn without_hiding(
     views: &[PointView],
     points: &[Vec3],
@@ -295,7 +300,7 @@ fn without_hiding(
     parts(&counts, most).into_iter().flat_map(clear).collect()
 }
 
-/// Runs of views that have `most` triangles together, by how many each has; one with more is alone.
+/// Runs of views with together at most `most` triangles, from the count of each; a view with more is alone.
 fn parts(counts: &[usize], most: usize) -> Vec<Range<usize>> {
     let (mut parts, mut start, mut together) = (vec![], 0, 0_usize);
     for (view, &count) in counts.iter().enumerate() {
@@ -309,7 +314,7 @@ fn parts(counts: &[usize], most: usize) -> Vec<Range<usize>> {
     parts
 }
 
-/// [`without_hiding`] of the triangles of some views, by the rays of all.
+/// [`without_hiding`] for the triangles of some views, by the rays of all.
 fn judged_at_once(
     views: &[PointView],
     points: &[Vec3],
@@ -347,7 +352,8 @@ fn median_edge(points: &[Vec3], lifted: &[Vec<[u32; 3]>], contraction: Option<&C
     median(lifted.iter().flatten().map(length).collect()).unwrap_or(0.0).max(f64::MIN_POSITIVE)
 }
 
-/// Depth of the nearest triangle at every pixel centre, `[h·w]`, 0 where there is none. All are before the camera, as [`lift`] has them.
+/// Depth of the nearest triangle at every pixel centre, `[h·w]`, 0 where there is none. All triangles are in front of
+/// the camera, as [`lift`] makes them.
 fn depth_map(camera: &Camera, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<f32> {
     let k = camera.intrinsics();
     let (width, height) = (k.width as usize, k.height as usize);
@@ -355,7 +361,7 @@ fn depth_map(camera: &Camera, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<f3
     for triangle in triangles {
         let corners = triangle.map(|i| camera.to_camera(points[i as usize].as_dvec3()));
         let pixels = corners.map(|p| camera.project(p) - 0.5);
-        // Of depth it is the inverse that is linear in the picture.
+        // It is inverse depth that is linear in the picture.
         let nearness = DVec3::from(corners.map(|p| p.z.recip()));
         pixels_in(&pixels, [width, height], 0..height, |x, y, weights| {
             let z = nearness.dot(weights).recip() as f32;

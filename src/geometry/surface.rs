@@ -17,8 +17,8 @@ pub struct Surface {
 }
 
 /// Keeps the `keep_components` largest connected components (triangles that share a vertex) of at least
-/// `min_component_faces` triangles. Drops triangles that are broken (index out of range, position not finite), have no
-/// area or repeat another one's corners, and vertices that nothing uses. The order of what is kept does not change.
+/// `min_component_faces` triangles. Drops broken triangles (index out of range, position not finite), triangles that
+/// have no area or repeat another one's corners, and unused vertices. The order of what is kept does not change.
 #[must_use]
 pub(super) fn clean(surface: Surface, min_component_faces: usize, keep_components: usize) -> Surface {
     let mut surface = without_broken(surface);
@@ -35,7 +35,7 @@ pub(super) fn clean(surface: Surface, min_component_faces: usize, keep_component
     compact(surface)
 }
 
-/// `[F]` the connected component (triangles that share a vertex) of every triangle, named by its lowest vertex. Indices
+/// Connected component `[F]` (triangles that share a vertex) of every triangle, named by its lowest vertex. Indices
 /// must be in range.
 #[must_use]
 pub fn components(surface: &Surface) -> Vec<u32> {
@@ -43,15 +43,16 @@ pub fn components(surface: &Surface) -> Vec<u32> {
     for t in &surface.triangles {
         for v in [t[1], t[2]] {
             let (a, b) = (root(&mut parent, t[0]), root(&mut parent, v));
-            // The smaller index becomes the root: the result does not depend on the order of triangles.
+            // The smaller index becomes the root, so that the result does not depend on the order of triangles.
             parent[a.max(b) as usize] = a.min(b);
         }
     }
     surface.triangles.iter().map(|t| root(&mut parent, t[0])).collect()
 }
 
-/// At most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer). Vertices marked in `keep`, `[V]`
-/// or fewer, stay. Topology is kept, so a surface of many pieces or holes may end above the target; one below it is returned cleaned.
+/// Simplifies to at most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer).
+/// Vertices marked in `keep`, `[V]` or fewer, stay. Topology is kept, so a surface of many pieces or holes may end
+/// above the target; one below it is returned cleaned.
 #[must_use]
 pub(super) fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize) -> Surface {
     let (mut surface, used) = compacted(without_broken(surface.clone()));
@@ -77,7 +78,7 @@ pub(super) fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize
     compact(without_broken(surface))
 }
 
-/// Union-find with path halving.
+/// Root of `v` in a union-find forest, with path halving.
 fn root(parent: &mut [u32], mut v: u32) -> u32 {
     while parent[v as usize] != v {
         let above = parent[parent[v as usize] as usize];
@@ -87,7 +88,7 @@ fn root(parent: &mut [u32], mut v: u32) -> u32 {
     v
 }
 
-/// Drops triangles that [`clean`] takes for broken.
+/// Drops the triangles that [`clean`] counts as broken, degenerate or repeated.
 pub(super) fn without_broken(mut surface: Surface) -> Surface {
     let positions = &surface.positions;
     surface.triangles.retain(|t| {
@@ -106,7 +107,7 @@ pub(super) fn without_broken(mut surface: Surface) -> Surface {
     surface
 }
 
-/// Drops vertices that no triangle uses. Every index must be in range.
+/// Drops unused vertices. Every index must be in range.
 #[must_use]
 pub fn compact(surface: Surface) -> Surface {
     compacted(surface).0
@@ -118,7 +119,7 @@ fn compacted(mut surface: Surface) -> (Surface, Vec<bool>) {
     (Surface { positions, ..surface }, used)
 }
 
-/// `[N]` Of every point the first that is at the very same place, by its index.
+/// Index of the first exactly coincident point, for every point `[N]`.
 pub(super) fn first_at_place(points: impl Iterator<Item = DVec3>) -> Vec<u32> {
     let mut first = HashMap::new();
     // + 0.0 turns −0 into 0.

@@ -1,28 +1,31 @@
-//! A surface that somebody else made, on the way to charts: what an iso-surface has by itself it may lack.
+//! Tidying of surfaces from other sources on the way to charts: they may lack properties that an iso-surface has.
 
 use super::GeometryError;
 use super::holes::without_holes;
 use super::reconstruct::SurfaceStats;
 use super::surface::{Surface, compact, components, first_at_place, simplify, without_broken};
 
-/// A connected piece is a crumb if it has fewer triangles, as of an iso-surface (2DGS), ...
+/// Number of triangles below which a connected piece may be a crumb, as for an iso-surface (2DGS), ...
 const CRUMB_FACES: usize = 50;
-/// ... and less than this part of the area of the largest: a box has twelve triangles.
+/// ... if its area is also below this fraction of the largest piece's: a box has twelve triangles.
 const CRUMB_AREA: f64 = 0.01;
 
-/// What [`tidy`] does to a surface besides.
+/// Options of [`tidy`].
 #[derive(Clone, Copy, Debug)]
 pub struct Tidying {
-    /// At most about so many triangles are left.
+    /// Approximate upper bound on triangles.
     pub triangles: usize,
-    /// Small pieces go: a scan has crumbs. Of a model, what stands on a large ground may be as small.
+    /// Whether small pieces are dropped: a scan has crumbs, but in a model, what stands on a large ground may be as
+    /// small.
     pub drops_crumbs: bool,
-    /// Holes with few edges are closed: a scan has gaps. Windows of a model that has few triangles are such holes, too.
+    /// Whether holes with few edges are closed: a scan has gaps, but windows of a model with few triangles are such
+    /// holes, too.
     pub closes_holes: bool,
 }
 
-/// Welds vertices at the same place, drops broken triangles and, as far as it is asked for, crumbs, closes small holes and simplifies.
-/// The statistics call what came in extracted. The cost is linear in what came in: the largest of many holes that each span much of it stay open.
+/// Welds coincident vertices, drops broken triangles and, as far as requested, crumbs, closes small holes and
+/// simplifies. In the statistics the input counts as extracted. The cost is linear in the input: of many holes that
+/// each span much of it the largest stay open.
 ///
 /// # Errors
 /// If no triangle is left; the message names the step.
@@ -46,7 +49,7 @@ pub fn tidy(surface: Surface, tidying: Tidying) -> Result<(Surface, SurfaceStats
     Ok((simplified, stats))
 }
 
-/// Vertices at the very same place become one: files have them apart where texture coordinates or normals are.
+/// Merges coincident vertices: files keep them apart where texture coordinates or normals differ.
 fn welded(mut surface: Surface) -> Surface {
     let same = first_at_place(surface.positions.iter().map(|p| p.as_dvec3()));
     for v in surface.triangles.iter_mut().flatten() {

@@ -1,12 +1,13 @@
-//! The content of a texture for the same triangles laid out anew.
+//! Resampling of a texture for the same triangles in another layout.
 
 use glam::Vec2;
 
 use super::raster::texels_in;
 use crate::scene::{SceneError, Texture};
 
-/// Redraws `texture`, laid out by `from` (`[F]` UVs of corners), for the same triangles laid out by `to` in a square of
-/// `size` texels. Texels outside all triangles take the mean of drawn neighbours, `gutter` texels far; beyond they are 0.
+/// Resamples `texture`, laid out by `from` (`[F]` UVs of corners), for the same triangles laid out by `to` in a square
+/// of `size` texels. Texels outside all triangles take the mean of drawn neighbours, `gutter` texels far; beyond they
+/// are 0.
 ///
 /// # Errors
 /// If `size` is not that of a texture, or sums of texels overflow.
@@ -18,7 +19,7 @@ pub fn transfer(
     gutter: u32,
 ) -> Result<Texture, SceneError> {
     let channels = texture.channels() as usize;
-    // Another is refused below, but not by running out of memory.
+    // An invalid size is rejected below, but must not exhaust memory before.
     let side = Texture::nearest_side(size) as usize;
     let mut redrawn = vec![0.0; side * side * channels];
     let mut drawn = vec![false; side * side];
@@ -37,7 +38,7 @@ pub fn transfer(
     Texture::new(size, size, texture.channels(), redrawn)
 }
 
-/// Bilinear, clamped at the border.
+/// Bilinear sample, clamped at the border.
 fn sample(texture: &Texture, uv: Vec2, out: &mut [f32]) {
     let (width, height) = (texture.width() as usize, texture.height() as usize);
     let last = Vec2::new((width - 1) as f32, (height - 1) as f32);
@@ -57,7 +58,7 @@ fn sample(texture: &Texture, uv: Vec2, out: &mut [f32]) {
     }
 }
 
-/// Every texel beside drawn ones takes their mean.
+/// Sets every undrawn texel beside drawn ones to their mean.
 fn dilate(texels: &mut [f32], drawn: &mut [bool], channels: usize, side: usize) {
     let mut added: Vec<(usize, Vec<f32>)> = vec![];
     for (i, _) in drawn.iter().enumerate().filter(|d| !d.1) {

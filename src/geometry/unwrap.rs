@@ -4,7 +4,8 @@ use rayon::prelude::*;
 use super::{Contraction, GeometryError, Shell, Surface, charts, pack};
 use crate::scene::Texture;
 
-/// Texels of the widest gutters: eight between two charts are two in the third mip level, and bilinear samples there share none yet.
+/// Width of the widest gutters, texels: the eight texels between two charts are two in the third mip level, where
+/// bilinear samples of the charts still share none.
 pub const WIDEST_GUTTER: u32 = 4;
 
 /// A surface with texture coordinates for one square atlas.
@@ -16,7 +17,7 @@ pub struct UnwrappedMesh {
     pub triangles: Vec<[u32; 3]>,
     /// `[F]` UV of each corner in [0, 1].
     pub corner_uvs: Vec<[Vec2; 3]>,
-    /// How good the atlas is.
+    /// Quality of the atlas.
     pub stats: UnwrapStats,
 }
 
@@ -25,57 +26,59 @@ pub struct UnwrappedMesh {
 pub struct UnwrapStats {
     /// Number of charts.
     pub charts: usize,
-    /// Texels around each chart that belong to no other; two charts are twice as far apart. With 0 they are as far apart as bilinear samples
-    /// need that share no texel.
+    /// Texels around each chart that belong to no other; two charts are twice as far apart. With 0 they are just far
+    /// enough apart for bilinear samples to share no texel.
     pub gutter: u32,
-    /// Texels per world unit where the surface faces its chart, and where charts are laid out as the surface is.
+    /// Texels per world unit where the surface is parallel to its chart's plane, and where charts are not laid out in
+    /// contracted space.
     pub texels_per_unit: f64,
     /// Fraction of the atlas area inside triangles.
     pub coverage: f64,
-    /// Texels a triangle has per texel that its area deserves, mean over the area; 1 is no stretch.
+    /// Texels of a triangle relative to those in proportion to its area, mean over the area; 1 is no stretch.
     pub mean_density: f64,
-    /// The same for the worst triangle.
+    /// The same ratio for the worst triangle.
     pub min_density: f64,
 }
 
-/// Where a surface is laid out in charts, if not in the world: so that what is far away has as many texels to a pixel as what the cameras
-/// look at.
+/// Contracted space in which charts are laid out instead of the world: far content then has as many texels per pixel as
+/// what the cameras look at.
 #[derive(Clone, Copy, Debug)]
 pub struct ChartSpace {
-    /// The end of whose ball is as far away as cameras are.
+    /// Contraction whose ball ends at the cameras' distance.
     contraction: Contraction,
-    /// What alone is contracted, if not all.
+    /// Shell, if only that is contracted.
     shell: Option<Shell>,
 }
 
 impl ChartSpace {
-    /// For a surface without bounds, of which all is contracted.
+    /// Space for an unbounded surface, all of which is contracted.
     #[must_use]
     pub fn unbounded(contraction: Contraction) -> Self {
-        // Half the cameras' distance.
+        // A quarter of twice the cameras' distance to the focus: half their distance.
         Self { contraction: Contraction { radius: 0.25 * contraction.radius, ..contraction }, shell: None }
     }
 
-    /// For one with bounds and a shell: within, cameras may be as near to anything as to what they look at.
+    /// Space for a bounded surface with a shell, of which only the shell is contracted: within, cameras may be as near
+    /// to anything as to what they look at.
     #[must_use]
     pub fn within_shell(contraction: Contraction, shell: Shell) -> Self {
         Self { shell: Some(shell), ..Self::unbounded(contraction) }
     }
 
-    /// Where a point of the world comes to lie.
+    /// Position at which a world point is laid out.
     pub(super) fn place(&self, p: DVec3) -> DVec3 {
         let is_contracted = self.shell.is_none_or(|shell| shell.holds(p.as_vec3()));
         if is_contracted { self.contraction.contract(p) } else { p }
     }
 }
 
-/// Cuts a surface into charts, projects each onto its plane and packs them into an atlas of `atlas_size`² texels with
-/// gutters. Charts grow to 60° from their seed's normal and are split where they would overlap; no chart is mirrored.
-/// Positions and triangles are kept as they are; a triangle with two corners at one place gets
-/// UV 0 at all of them. Deterministic.
+/// Unwraps a surface: cuts it into charts, projects each onto its plane and packs them into an atlas of `atlas_size`²
+/// texels with gutters. Charts grow to 60° from their seed's normal and are split where they would overlap; no chart is
+/// mirrored. Positions and triangles are kept as they are; a triangle with two coincident corners gets UV 0 at all of
+/// them. Deterministic.
 ///
-/// With `charts_in` areas and shapes are those that the surface has there. Gutters are up to `widest_gutter` texels on each side, at most
-/// [`WIDEST_GUTTER`], where that costs little resolution; see [`UnwrapStats::gutter`].
+/// With `charts_in`, areas and shapes are those in that space. Gutters are up to `widest_gutter` texels on each side,
+/// at most [`WIDEST_GUTTER`], where that costs little resolution; see [`UnwrapStats::gutter`].
 ///
 /// # Errors
 /// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=[`Texture::MAX_SIDE`], or
@@ -97,7 +100,7 @@ pub fn unwrap(
         corners.iter_mut().flatten().for_each(|p| *p = space.place(*p));
     }
     let areas: Vec<f64> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).collect();
-    // Something to scale by when nothing has an area.
+    // A scale for surfaces without any area.
     let area = areas.iter().sum::<f64>().max(f64::MIN_POSITIVE.sqrt());
     let side = f64::from(atlas_size);
     // Packings cover some 60 % of the atlas.
@@ -108,8 +111,8 @@ pub fn unwrap(
     let packing = loop {
         let packing = pack::pack(&charts, area, atlas_size as usize, widest_gutter as usize)
             .ok_or(GeometryError::AtlasTooSmall { charts: charts.len(), atlas_size })?;
-        // Overlaps too narrow for the charts' own test, but not for the final texels: few, and a split triangle cannot
-        // overlap again.
+        // Splits off overlaps too narrow for the charts' own test, but not for the final texels: they are few, and a
+        // split triangle cannot overlap again.
         let mut split = charts::split_overlaps(&mut charts, |chart, p| packing.places[chart].apply(p * packing.scale));
         if split.is_empty() {
             break packing;

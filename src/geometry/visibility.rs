@@ -1,4 +1,4 @@
-//! Which texels of a mesh views see, by rays from the cameras.
+//! Visibility of a mesh's texels from views, by rays from the cameras.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -11,51 +11,54 @@ use super::{
 };
 use crate::scene::{Camera, Mesh, Texture};
 
-/// Rows of texels that one task takes.
+/// Rows of texels per task.
 const ROWS: usize = 8;
-/// What is within this part of a ray's length before a texel is at the same place. Own triangles are met there by f64 rounding.
+/// Relative ray length before a texel within which hits count as at the texel: f64 rounding puts its own triangles
+/// there.
 const SAME_PLACE: f64 = 1e-6;
-/// The same where rays graze the surface, so that roundings along its normal are far apart along the ray.
+/// The same length for rays that graze the surface, where rounding along its normal is a long way along the ray.
 const SAME_PLACE_GRAZING: f64 = 1e-2;
-/// A triangle narrower than this many texels is thin: nearly level, it may pass between two rows of centres for long.
+/// Width, texels, below which a triangle is thin: nearly level, it may pass between two rows of centres for long.
 const THIN: f64 = 1.0;
-/// Roundings of f32 positions, relative to their largest coordinate, within which triangles lie on each other.
+/// Rounding of f32 positions, relative to their largest coordinate, within which triangles count as coincident.
 const ROUNDING: f64 = 4.0 * (f32::EPSILON as f64);
 
 /// What views see of a texel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TexelSight {
-    /// Its centre lies in no triangle, nor does a thin one touch it.
+    /// Outside all charts: no triangle contains its centre, and no thin one touches it.
     Outside,
-    /// No view sees the point at its centre.
+    /// No view sees the point at the texel's centre.
     Hidden,
-    /// A view does, and reads mip levels no higher than this there: the first that was tried. On a large triangle others may read higher ones.
+    /// Seen by a view, which reads mip levels up to this one there: the first view that was found. On a large triangle
+    /// others may read higher levels.
     Seen(u8),
 }
 
-/// What views see of a map, see [`texel_visibility`].
+/// Visibility of all texels of a map, see [`texel_visibility`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TexelVisibility {
     /// Width and height in texels.
     pub size: [usize; 2],
     /// `[h·w]`, first row at the top.
     pub texels: Vec<TexelSight>,
-    /// Rays that this took.
+    /// Number of rays cast.
     pub rays: usize,
 }
 
 impl TexelVisibility {
-    /// Texels in charts, and those of them that a view sees.
+    /// Numbers of texels in charts, and of those that a view sees.
     #[must_use]
     pub fn counts(&self) -> (usize, usize) {
         let count = |wanted: TexelSight| self.texels.iter().filter(|&&t| t >= wanted).count();
         (count(TexelSight::Hidden), count(TexelSight::Seen(0)))
     }
 
-    /// `[h·w]` Whether a texel enters what views show whose pictures are up to 2^`coarser` times smaller: those that are seen, and all that the
-    /// mip levels mix with them there, one texel around at least, be they hidden or in a gutter. But for rims: the coarsest view of a
-    /// triangle is that of its middle, and of a texel that is seen in part the centre may be hidden, so that views may show a little of
-    /// the others, too. No mip level above `coarsest` is read.
+    /// Per texel, `[h·w]`: whether rendering any view, at full size or downsampled by up to 2^`coarser`, reads it
+    /// through mip filtering. These are the seen texels and all that the mip levels read mix with them, at least one
+    /// texel around, be they hidden or in a gutter. Approximate at rims: a triangle's coarsest view is determined at
+    /// its middle, and the centre of a partly seen texel may be hidden, so views may read a little of other texels,
+    /// too. No mip level above `coarsest` is read.
     #[must_use]
     pub fn reached(&self, coarser: u8, coarsest: u8) -> Vec<bool> {
         let [width, height] = self.size;
@@ -82,13 +85,14 @@ impl TexelVisibility {
     }
 }
 
-/// Mip levels of a map of this size; 1 of one that no [`Texture`] may have.
+/// Number of mip levels of a map of this size; 1 for sizes that no [`Texture`] may have.
 fn mip_levels([width, height]: [usize; 2]) -> usize {
     let side = |n: usize| u32::try_from(n).unwrap_or(1);
     Texture::mip_levels_of(side(width), side(height)) as usize
 }
 
-/// Columns of a mip level that bilinear filtering mixes at positions within column `x` of level 0, of `width`.
+/// Columns of a mip level that bilinear filtering reads at positions within column `x` of level 0; `width` is that of
+/// level 0.
 fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize> {
     let texels = (1_usize << level) as f64;
     let low = (x as f64 / texels - 0.5).floor().max(0.0) as usize;
@@ -96,16 +100,19 @@ fn taps(x: usize, level: usize, width: usize) -> std::ops::RangeInclusive<usize>
     low..=high.min((width >> level) - 1)
 }
 
-/// What `viewers` see of each texel of a map of `size` texels, (width, height), on `mesh`: whether the point at its centre is in a picture, farther
-/// than `near`, with fewer than `layers` triangles of `hidden_by` before it, from either side. `hidden_by` holds all meshes in the frame
-/// of the cameras, `mesh` among them. Where triangles share a texel it is seen if any of them is.
+/// Visibility from `viewers` of each texel of a map of `size` texels (width, height) on `mesh`: whether the point at
+/// its centre is in a picture, farther than `near`, with fewer than `layers` triangles of `hidden_by` in front of it,
+/// from either side. `hidden_by` holds all meshes in the frame of the cameras, `mesh` among them. Where triangles share
+/// a texel it is seen if any of them is.
 ///
-/// Of some triangles few texels have their centres in it, or none. One that is narrower than a texel is also looked at in those texels that
-/// it touches and that no triangle holds the centre of, at its point nearest to the centre; one that holds no centre also at its middle.
+/// Few texel centres, or none, may lie in a triangle. One narrower than a texel is also sampled in the texels that it
+/// touches and whose centres no triangle contains, at its point nearest to the centre; one that contains no centre also
+/// at its middle.
 ///
-/// Triangles at the same place as the texel, its own and those on it but for f32 rounding, do not hide it. It takes two bytes a texel and
-/// some 250 a triangle. A texel costs a ray or little more where it is seen, else one per view that has it in the picture, and a triangle
-/// a sort of all views; the views that look at it from farthest away are tried first, and among these the one that saw the last.
+/// Triangles coincident with the texel, its own and others within f32 rounding, do not hide it. Memory is two bytes per
+/// texel and some 250 per triangle. A seen texel costs a ray or little more, a hidden one a ray per view that has it in
+/// the picture, and a triangle a sort of all views; views that look at it from farthest away are tried first, and among
+/// these the one that saw the last texel.
 ///
 /// # Errors
 /// If `size` is empty or above [`Texture::MAX_SIDE`] a side, `near` is negative or not a number, or `layers` is 0.
@@ -159,20 +166,21 @@ pub fn texel_visibility(
     Ok(TexelVisibility { size, texels, rays: rays.into_inner() })
 }
 
-/// A triangle with an area.
+/// A triangle with nonzero area.
 struct Face {
     corners: [DVec3; 3],
     normal: DVec3,
     uvs: [Vec2; 3],
-    /// First and last row that it may have texels in.
+    /// First and last row in which it may have texels.
     rows: [usize; 2],
-    /// Whether the centre of a texel lies in it.
+    /// Whether it contains the centre of a texel.
     has_center: bool,
-    /// Whether it is narrower than [`THIN`] or has no centre, so that it may show texels whose centres lie beside it.
+    /// Whether it is narrower than [`THIN`] or contains no centre, so that it may show texels whose centres lie beside
+    /// it.
     is_thin: bool,
-    /// The texel at its middle, column and row.
+    /// Texel at its middle, column and row.
     middle: [usize; 2],
-    /// World space per texel to the right and down; `None` if it has no area in the map.
+    /// World-space steps per texel to the right and down; `None` without area in the map.
     texel: Option<[DVec3; 2]>,
 }
 
@@ -189,7 +197,7 @@ impl Face {
         let rows = [row(a.y.min(b.y).min(c.y).floor() - 1.0), row(a.y.max(b.y).max(c.y).ceil() + 1.0)];
         let (right, down) = (b - a, c - a);
         let (area, middle) = (right.perp_dot(down), (a + b + c) / 3.0);
-        // The inverse of what takes texels to weights.
+        // The inverse of the map from texels to weights.
         let texel = [(along * down.y - beside * right.y) / area, (beside * right.x - along * down.x) / area];
         Some(Self {
             corners,
@@ -209,13 +217,13 @@ impl Face {
     }
 }
 
-/// One task's look at texels, one after the other.
+/// State of one task that tests texels one after the other.
 struct Look<'a> {
     viewers: &'a Viewers<'a>,
     hidden_by: &'a MeshBvh,
-    /// Last mip level.
+    /// Index of the last mip level.
     coarsest: usize,
-    /// Views in the order in which they are tried, each with the mip level that it reads in the middle of the triangle.
+    /// Views in the order in which they are tried, each with the mip level that it reads at the middle of the triangle.
     order: Vec<(usize, u8)>,
     rays: usize,
 }
@@ -225,7 +233,7 @@ impl<'a> Look<'a> {
         Self { viewers, hidden_by, coarsest, order: (0..viewers.cameras.len()).map(|i| (i, 0)).collect(), rays: 0 }
     }
 
-    /// Puts the views that read coarse levels of this triangle first. Else their order stays.
+    /// Moves views that read coarse levels of this triangle to the front, otherwise keeping their order.
     fn at_face(&mut self, face: &Face) {
         let middle = face.point(DVec3::splat(1.0 / 3.0));
         for (view, level) in &mut self.order {
@@ -257,8 +265,8 @@ fn same_place(sight: &Sight, point: DVec3, normal: DVec3) -> f64 {
     rounding.clamp(SAME_PLACE, SAME_PLACE_GRAZING)
 }
 
-/// The highest mip level that a pixel reads at camera-space point `p` of a surface with these world-space steps per texel: by the longer axis of
-/// its footprint, as the renderer does.
+/// Highest mip level that a pixel reads at camera-space point `p` of a surface with these world-space steps per texel:
+/// from the longer axis of its footprint, as in the renderer.
 fn mip_level(camera: &Camera, p: DVec3, texel: Option<[DVec3; 2]>, coarsest: usize) -> u8 {
     let Some(texel) = texel else { return 0 };
     let k = camera.intrinsics();
@@ -267,9 +275,9 @@ fn mip_level(camera: &Camera, p: DVec3, texel: Option<[DVec3; 2]>, coarsest: usi
         .map(|d| DVec2::new(k.fx * (d.x * p.z - p.x * d.z), k.fy * (d.y * p.z - p.y * d.z)) / (p.z * p.z));
     let (a, b, c) = (x.dot(x), y.dot(y), x.dot(y));
     let longer = 0.5 * (a + b) + (0.25 * (a - b) * (a - b) + c * c).sqrt();
-    // Pixels per texel are the inverse of texels per pixel: its longer axis is the other's shorter.
+    // Pixels per texel are the inverse of texels per pixel, so the longer axis of one is the shorter of the other.
     let level = (0.5 * longer.log2() - x.perp_dot(y).abs().log2()).ceil();
-    // Edge-on it is infinite, and at the camera's plane it may not be a number.
+    // The level is infinite edge-on, and may be NaN at the camera's plane.
     if level >= coarsest as f64 { coarsest as u8 } else { level.max(0.0) as u8 }
 }
 

@@ -6,27 +6,28 @@ use serde::Serialize;
 use super::{Lpips, LpipsScore, MetricError, flip, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
 use crate::scene::HybridScene;
 
-/// How good a picture is, or the mean of several. Each number has a named convention: those of different ones do not compare.
+/// Image-quality scores of one render, or their mean over several. Each score names its convention; scores of different
+/// conventions are not comparable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scores {
-    /// dB, on 8-bit-quantised images. Infinite (null in JSON) where they are equal.
+    /// PSNR in dB on 8-bit-quantised images. Infinite (null in JSON) for equal images.
     pub psnr: f64,
-    /// dB, on images before they are quantised.
+    /// PSNR in dB on unquantised images.
     pub psnr_float: f64,
-    /// INRIA's convention (zeros beyond the image), on 8-bit-quantised images.
+    /// SSIM by INRIA's convention (zero padding), on 8-bit-quantised images.
     pub ssim_inria: f64,
-    /// Windows inside the image only, on the same; none where an image has no room for one.
+    /// SSIM over windows inside the image only, on 8-bit-quantised images; none if an image is smaller than a window.
     pub ssim_valid: Option<f64>,
-    /// The image continued by reflection, on the same; none where an image is too small.
+    /// SSIM with reflected borders, on 8-bit-quantised images; none if an image is too small.
     pub ssim_reflect: Option<f64>,
-    /// [`flip`](fn@flip), lower is better, on the same.
+    /// [`flip`](fn@flip) error on 8-bit-quantised images; lower is better.
     pub flip: f64,
-    /// On 8-bit-quantised images; none without the network's weights.
+    /// LPIPS on 8-bit-quantised images; none without the network's weights.
     pub lpips: Option<LpipsScore>,
 }
 
 impl Scores {
-    /// Of a pair of images.
+    /// Computes all scores of a pair of images.
     ///
     /// # Errors
     /// If the sizes differ, the images are empty, or too small for the network of `lpips`.
@@ -44,7 +45,7 @@ impl Scores {
         })
     }
 
-    /// None of none; of what some lack there is no mean.
+    /// Mean of each score; `None` for an empty slice. An optional score has no mean if it is missing in any element.
     fn mean(all: &[Self]) -> Option<Self> {
         let first = all.first()?;
         let mean = |score: &dyn Fn(&Self) -> f64| all.iter().map(score).sum::<f64>() / all.len() as f64;
@@ -67,7 +68,8 @@ impl Scores {
         })
     }
 
-    /// What tables show, with its name: 8-bit PSNR, INRIA's SSIM, FLIP and LPIPS if there is one, under both conventions.
+    /// Names and values of the scores shown in tables: 8-bit PSNR, INRIA's SSIM, FLIP, and LPIPS, if present, under
+    /// both conventions.
     #[must_use]
     pub fn columns(&self) -> Vec<(String, String)> {
         let mut columns = vec![
@@ -82,7 +84,7 @@ impl Scores {
         columns
     }
 
-    /// How those of `views` were taken; belongs next to every table.
+    /// Description of how the scores of `views` were taken, to accompany every table.
     fn protocol(&self, views: &[ViewScore]) -> String {
         let lpips = self.lpips.map_or("n/a (--lpips-weights)".to_owned(), |l| {
             format!("v0.1 {}, colours −1…1 (0…1: INRIA's script)", l.net.name())
@@ -106,18 +108,18 @@ pub struct ViewScore {
     pub name: String,
     /// Width and height in pixels.
     pub size: [u32; 2],
-    /// How good it is.
+    /// Scores of the render.
     #[serde(flatten)]
     pub scores: Scores,
-    /// True if a mask multiplied photograph and render.
+    /// Whether a mask multiplied photograph and render.
     pub masked: bool,
 }
 
 impl ViewScore {
-    /// Scores two images. Where the view has a mask, the caller has multiplied both images by it and says so in `masked`.
+    /// Scores two images. If the view has a mask, the caller has multiplied both images by it and sets `masked`.
     ///
     /// # Errors
-    /// As [`Scores::new`].
+    /// Same as [`Scores::new`].
     pub fn new(
         name: &str,
         truth: &Rgb32FImage,
@@ -130,58 +132,59 @@ impl ViewScore {
     }
 }
 
-/// What only the program that ran knows.
+/// Measurements that only the running program can supply.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Measured {
-    /// Size of the scene's file, where there is one to be measured.
+    /// Size of the scene's file in bytes, if there is a file.
     pub file_bytes: Option<u64>,
-    /// Mean wall time of a training iteration of the joint phase, in which splats and mesh are trained together; without a mesh, of any.
+    /// Mean wall time of a training iteration of the joint phase, in which splats and mesh are trained together, or of
+    /// any iteration if there is no mesh.
     pub seconds_per_iteration: Option<f64>,
-    /// Wall time of the whole training: all phases, and what is between them.
+    /// Wall time of the whole training: all phases and the steps between them.
     pub training_seconds: Option<f64>,
-    /// Most GPU memory held at once by the training, in bytes.
+    /// Peak GPU memory of training, in bytes.
     pub training_peak_gpu_bytes: Option<u64>,
-    /// Name of the adapter that trained, if it is another than [`Self::adapter`].
+    /// Name of the adapter used for training, if it differs from [`Self::adapter`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on: Option<String>,
-    /// Rendered frames per second at the size of the views, reading pictures back excluded.
+    /// Rendered frames per second at the size of the views, excluding readback.
     pub fps: Option<f64>,
-    /// Most GPU memory held at once by rendering for these scores, in bytes.
+    /// Peak GPU memory of the renders scored here, in bytes.
     pub peak_gpu_bytes: Option<u64>,
-    /// Name of the adapter that rendered.
+    /// Name of the adapter used for rendering.
     pub adapter: String,
 }
 
-/// How good a scene is, what it costs, and how both were measured.
+/// Evaluation of a scene: its quality, its cost, and how both were measured.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// Mean over views; none without views.
+    /// Mean scores over the views; none without views.
     #[serde(flatten)]
     pub mean: Option<Scores>,
     /// Number of splats.
     pub splats: usize,
     /// Number of mesh triangles.
     pub triangles: usize,
-    /// Number of atlas texels, of both resolutions.
+    /// Number of atlas texels, summed over base and band textures.
     pub texels: usize,
-    /// Optimised floats, see [`HybridScene::total_floats`].
+    /// Number of optimised floats, see [`HybridScene::total_floats`].
     pub total_floats: usize,
-    /// Times, bytes, adapter.
+    /// Measured times, byte counts and adapters.
     #[serde(flatten)]
     pub measured: Measured,
-    /// Behind the scene, and behind photographs with alpha; RGB, sRGB-encoded.
+    /// Background colour behind the scene, and behind photographs with alpha; RGB, sRGB-encoded.
     pub background: [f32; 3],
     /// How scores were taken; empty without views.
     pub protocol: String,
     /// One score per held-out view.
     pub views: Vec<ViewScore>,
-    /// Held-out views of which masks leave nothing: they have no score.
+    /// Names of held-out views whose masks cover the whole image and which therefore have no score.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
 }
 
 impl Evaluation {
-    /// Counts `scene` and averages `views`.
+    /// Evaluates `scene`: counts its elements and averages the scores of `views`.
     #[must_use]
     pub fn new(scene: &HybridScene, views: Vec<ViewScore>, measured: Measured) -> Self {
         let mean = Scores::mean(&views.iter().map(|v| v.scores).collect::<Vec<_>>());
@@ -201,7 +204,7 @@ impl Evaluation {
         }
     }
 
-    /// The figures that are not per view, as (what, figure) pairs for a table. Unmeasured ones are left out.
+    /// Rows (name, value) of a table of all figures that are not per view. Unmeasured figures are left out.
     #[must_use]
     pub fn figures(&self) -> Vec<(&'static str, String)> {
         let m = &self.measured;
@@ -239,7 +242,7 @@ impl Evaluation {
     }
 }
 
-/// A plain-text table: views, mean, then [`Evaluation::figures`].
+/// Formats a plain-text table: views, mean, then [`Evaluation::figures`].
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let width = self.views.iter().map(|v| v.name.chars().count()).max().unwrap_or(0).max(4);
@@ -263,7 +266,7 @@ impl fmt::Display for Evaluation {
     }
 }
 
-/// `1234567` as `1,234,567`.
+/// Formats `1234567` as `1,234,567`.
 fn thousands(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();

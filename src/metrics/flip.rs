@@ -3,8 +3,9 @@ use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8};
 
 use super::{MetricError, check_least, check_same_size, to_rgb8};
 
-/// FLIP (Andersson et al. 2020): what an observer sees who flips between two pictures, from 0 (nothing) to 1, mean over pixels.
-/// Of 8-bit sRGB images at 67 pixels per degree, as NVIDIA's program has it unless told otherwise. Needs no weights of a network.
+/// FLIP (Andersson et al. 2020): the difference an observer perceives when alternating between two images, from 0
+/// (none) to 1, averaged over pixels. On 8-bit sRGB images at 67 pixels per degree, the default of NVIDIA's program.
+/// Needs no network weights.
 ///
 /// # Errors
 /// If the sizes differ or the images are empty.

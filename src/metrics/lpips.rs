@@ -12,28 +12,28 @@ use serde_json::Value;
 use super::{MetricError, check_least, check_same_size};
 use crate::scene::SceneError;
 
-/// Mean and deviation of the colours that the networks were trained on, of images from −1 to 1.
+/// Mean and standard deviation, for images from −1 to 1, of the colours on which the networks were trained.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
-/// Added to the length of a pixel's features before they are divided by it.
+/// Added to the norm of a pixel's features before division by it.
 const EPSILON: f32 = 1e-10;
-/// Most bytes of a header: that of VGG has 4000.
+/// Most bytes of a safetensors header; VGG's has 4000.
 const HEADER: u64 = 1 << 20;
-/// Bytes of the patches that a thread multiplies at a time.
+/// Bytes of the patch matrix that a thread multiplies at a time.
 const PATCHES: usize = 4 << 20;
 
-/// The network whose features are compared.
+/// Network whose features are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LpipsNet {
-    /// VGG-16: 3DGS, HERA, Mip-Splatting.
+    /// VGG-16: used by 3DGS, HERA, Mip-Splatting.
     Vgg,
-    /// `AlexNet`: gsplat, `NerfBaselines` on Tanks and Temples.
+    /// `AlexNet`: used by gsplat, and by `NerfBaselines` on Tanks and Temples.
     Alex,
 }
 
 impl LpipsNet {
-    /// Its name in tables.
+    /// Name of the network in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -42,7 +42,7 @@ impl LpipsNet {
         }
     }
 
-    /// Smallest side of an image of which every feature map has a pixel.
+    /// Smallest side of an image for which every feature map has at least one pixel.
     fn least(self) -> u32 {
         match self {
             Self::Vgg => 16,
@@ -51,71 +51,72 @@ impl LpipsNet {
     }
 }
 
-/// What colours are handed to the network as.
+/// Range of the colours passed to the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LpipsRange {
-    /// From −1 to 1, which it was made for.
+    /// From −1 to 1, the range for which the network was made.
     Normalized,
-    /// From 0 to 1: what INRIA's script does, and with it most tables of splatting. Lower numbers.
+    /// From 0 to 1, as INRIA's script does and hence most published splatting tables. Gives lower distances.
     Unnormalized,
 }
 
-/// Distances of a pair of images under both conventions.
+/// LPIPS distances of a pair of images under both conventions.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LpipsScore {
-    /// Whose features.
+    /// Network whose features were compared.
     pub net: LpipsNet,
-    /// Colours from −1 to 1.
+    /// Distance with colours from −1 to 1.
     pub normalized: f64,
-    /// Colours from 0 to 1.
+    /// Distance with colours from 0 to 1.
     pub unnormalized: f64,
 }
 
-/// Weights that cannot be used.
+/// Errors of reading network weights.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LpipsError {
     /// The file cannot be read.
     #[error("{}: cannot read: {source}", file.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// Why.
+        /// Cause.
         source: std::io::Error,
     },
-    /// It does not hold what it should.
+    /// A tensor or the header is missing or not as expected.
     #[error("{}: {at}: expected {expected}, found {found}", file.display())]
     Content {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// Name of the tensor.
+        /// Name of the tensor, or `header`.
         at: String,
-        /// What should be there.
+        /// Expected content.
         expected: String,
-        /// What is there.
+        /// Content found.
         found: String,
     },
 }
 
-/// Learned perceptual distance, v0.1 (Zhang et al. 2018): features of a network at five depths, normalised per pixel, their
-/// squared differences weighted per channel and averaged over the image.
+/// Learned perceptual image distance LPIPS v0.1 (Zhang et al. 2018): a network's features at five depths are normalised
+/// per pixel; their squared differences are weighted per channel and averaged over the image.
 ///
-/// With VGG a pixel takes 768 bytes while two images are compared (three maps of 64 floats), besides 59 MB of weights.
+/// With VGG, comparing two images takes 768 bytes per pixel (three maps of 64 floats), besides 59 MB of weights.
 ///
-/// The weights are not ours to give away; `datasets-scripts/lpips_weights.py` downloads them and writes the file.
+/// The weights are not distributed with this crate; `datasets-scripts/lpips_weights.py` downloads them and writes the
+/// file.
 pub struct Lpips {
     net: LpipsNet,
     steps: Vec<Step>,
-    /// Weights of the channels of each tap.
+    /// Channel weights of each tap.
     linear: Vec<Vec<f32>>,
 }
 
 enum Step {
-    /// Negative outputs become 0.
+    /// Convolution whose negative outputs become 0 (`ReLU`).
     Convolve(Convolution),
-    /// Maxima of `size`² pixels every two pixels.
+    /// Max pooling over `size`×`size` pixels with stride 2.
     Pool { size: usize },
-    /// Here features are compared.
+    /// Depth at which features are compared.
     Tap,
 }
 
@@ -128,7 +129,7 @@ struct Convolution {
     bias: Vec<f32>,
 }
 
-/// `[height, width, channels]`.
+/// Feature map `[height, width, channels]`.
 struct Features {
     height: usize,
     width: usize,
@@ -136,7 +137,7 @@ struct Features {
     values: Vec<f32>,
 }
 
-/// Kernel, stride, padding and outputs of a convolution, or a pool (size), or a tap.
+/// Layer: a convolution (kernel, stride, padding, outputs), a max pool (size), or a tap.
 enum Layer {
     Conv(String, [usize; 4]),
     Pool(usize),
@@ -170,12 +171,12 @@ fn layers(net: LpipsNet) -> Vec<Layer> {
 }
 
 impl Lpips {
-    /// Reads weights: a safetensors file of f32 tensors `conv1_1.weight` `[64, 3, 3, 3]`, `conv1_1.bias` `[64]` … `conv5_3` of
-    /// VGG-16, or `conv1` … `conv5` of `AlexNet`, and `lin0.weight` … `lin4.weight`, one per channel of each depth. What else is in
-    /// the file is not read, however long it is.
+    /// Reads weights from a safetensors file of f32 tensors `conv1_1.weight` `[64, 3, 3, 3]`, `conv1_1.bias` `[64]` …
+    /// `conv5_3` of VGG-16, or `conv1` … `conv5` of `AlexNet`, and `lin0.weight` … `lin4.weight`, one weight per
+    /// channel of each depth. Other content of the file is not read, however long.
     ///
     /// # Errors
-    /// If the file cannot be read, a tensor is missing, has another shape or type, or holds what is not finite.
+    /// If the file cannot be read, or a tensor is missing, has another shape or type, or holds a non-finite value.
     pub fn open(file: &Path) -> Result<Self, LpipsError> {
         let source = File::open(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
         Self::read(source).map_err(|SceneError { field: at, expected, found }| LpipsError::Content {
@@ -212,13 +213,13 @@ impl Lpips {
         Ok(Self { net, steps, linear })
     }
 
-    /// Whose features are compared.
+    /// Network whose features are compared.
     #[must_use]
     pub fn net(&self) -> LpipsNet {
         self.net
     }
 
-    /// Error unless images of this width and height have room for the network.
+    /// Checks that images of this width and height are large enough for the network.
     ///
     /// # Errors
     /// If a side is shorter than 16 (VGG) or 31 (Alex) pixels.
@@ -226,7 +227,7 @@ impl Lpips {
         check_least("LPIPS", self.net.least(), size)
     }
 
-    /// The distance under both conventions.
+    /// LPIPS distance under both conventions.
     ///
     /// # Errors
     /// If the sizes differ or a side is shorter than 16 (VGG) or 31 (Alex) pixels.
@@ -239,10 +240,10 @@ impl Lpips {
         })
     }
 
-    /// The parts of the distance that the five depths contribute.
+    /// Contributions of the five depths to the distance.
     ///
     /// # Errors
-    /// As [`Self::score`].
+    /// Same as [`Self::score`].
     pub fn distances(
         &self,
         truth: &Rgb32FImage,
@@ -256,7 +257,8 @@ impl Lpips {
         for step in &self.steps {
             match step {
                 Step::Convolve(convolution) => {
-                    // One after the other: what went into the first is gone before the second is made.
+                    // One image after the other, so that the first one's temporaries are freed before the second one's
+                    // are allocated.
                     a = convolution.run(&a);
                     b = convolution.run(&b);
                 }
@@ -268,12 +270,12 @@ impl Lpips {
     }
 }
 
-/// A safetensors file of which only what is asked for is read.
+/// Safetensors file that is read tensor by tensor, on request.
 struct Weights<R> {
     source: R,
-    /// What is said of each tensor, by name.
+    /// Header entry of each tensor, by name.
     header: BTreeMap<String, Value>,
-    /// Offset of the tensors.
+    /// Offset of the tensor data in the file, in bytes.
     start: u64,
 }
 
@@ -305,7 +307,7 @@ impl<R: Read + Seek> Weights<R> {
         let stored = self.header.get(name).ok_or_else(|| fault(expected(), "no such tensor".to_owned()))?;
         let Stored { dtype, shape: found, data_offsets: [from, to] } = Stored::deserialize(stored)
             .map_err(|e| fault("dtype, shape and data_offsets".to_owned(), e.to_string()))?;
-        // Weights per channel are stored as 1×1 convolutions by some.
+        // Some files store per-channel weights as 1×1 convolutions.
         let is_per_channel = shape.len() == 1 && found.iter().filter(|n| **n != 1).eq(shape);
         if dtype != "F32" || (found != shape && !is_per_channel) {
             return Err(fault(expected(), format!("{dtype} {found:?}")));
@@ -319,7 +321,7 @@ impl<R: Read + Seek> Weights<R> {
         (self.source.seek(SeekFrom::Start(at)))
             .and_then(|_| self.source.read_exact(bytes))
             .map_err(|e| fault(format!("{} bytes from byte {at} on", bytes.len()), e.to_string()))?;
-        // The file is little-endian.
+        // Safetensors data are little-endian.
         values.iter_mut().for_each(|v| *v = f32::from_bits(u32::from_le(v.to_bits())));
         match values.iter().position(|v| !v.is_finite()) {
             Some(i) => Err(fault("finite numbers".to_owned(), format!("{} at {i}", values[i]))),
@@ -356,7 +358,7 @@ impl Features {
 }
 
 impl Convolution {
-    /// Patches of some rows of pixels at a time, times the weights.
+    /// Convolves by matrix product (im2col), a strip of rows at a time, and sets negative outputs to 0.
     fn run(&self, input: &Features) -> Features {
         let along = |side: usize| (side + 2 * self.padding - self.kernel) / self.stride + 1;
         let (height, width) = (along(input.height), along(input.width));
@@ -379,7 +381,7 @@ impl Convolution {
         Features { height, width, channels: outputs, values }
     }
 
-    /// The input under the kernel at output (y, x); zeros outside.
+    /// Copies the input under the kernel at output (y, x) into `patch`; zeros outside the input.
     fn gather(&self, input: &Features, y: usize, x: usize, patch: &mut [f32]) {
         for (tap, into) in patch.chunks_mut(input.channels).enumerate() {
             let row = (y * self.stride + tap / self.kernel).checked_sub(self.padding).filter(|&row| row < input.height);
@@ -392,7 +394,7 @@ impl Convolution {
     }
 }
 
-/// Mean over pixels of the weighted squared differences of features of length 1.
+/// Mean over pixels of the weighted squared difference of unit-length features.
 fn distance(a: &Features, b: &Features, weights: &[f32]) -> f64 {
     let pairs = a.values.par_chunks_exact(a.channels).zip(b.values.par_chunks_exact(b.channels));
     let length = |v: &[f32]| v.iter().map(|x| x * x).sum::<f32>().sqrt() + EPSILON;

@@ -1,7 +1,7 @@
 //! Image metrics and reports.
 //!
-//! Images are RGB floats in display-referred \[0, 1\]. Numbers meant for comparison with published tables are taken
-//! on [`quantised`] images, as INRIA's scripts write PNGs and score what they read back.
+//! Images are RGB floats in display-referred \[0, 1\]. Scores meant for comparison with published tables are taken on
+//! [`quantised`] images, because INRIA's scripts score images read back from PNG files.
 
 mod evaluation;
 mod flip;
@@ -41,7 +41,7 @@ pub enum MetricError {
     Small {
         /// Name of the metric.
         metric: &'static str,
-        /// Smallest side that works.
+        /// Smallest side that the metric supports.
         least: u32,
         /// Width and height found.
         found: (u32, u32),

@@ -2,13 +2,13 @@ use image::{Rgb, Rgb32FImage, RgbImage, imageops};
 
 use super::{MetricError, check_same_size, to_rgb8};
 
-/// Factor that makes errors visible: a difference of 1/4 is full brightness.
+/// Factor that makes errors visible: a difference of 1/4 has full brightness.
 const ERROR_GAIN: f32 = 4.0;
 const SEPARATOR: u32 = 4;
 const PAPER: Rgb<u8> = Rgb([255; 3]);
 const INK: Rgb<u8> = Rgb([40; 3]);
 
-/// Photograph | render | absolute error × 4, captioned, for judging a view at a glance.
+/// Composes photograph | render | absolute error × 4, with captions, for visual inspection of a view.
 ///
 /// # Errors
 /// If the sizes differ.
@@ -31,7 +31,7 @@ pub fn side_by_side(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<RgbImag
     Ok(sheet)
 }
 
-/// Writes capitals at (`left`, `top`); what is outside the image is clipped.
+/// Writes capital letters at (`left`, `top`); parts outside the image are clipped.
 fn write(sheet: &mut RgbImage, text: &str, left: u32, top: u32, dot: u32) {
     for (i, letter) in text.chars().enumerate() {
         for (y, row) in (0_u32..).zip(glyph(letter)) {
@@ -47,7 +47,7 @@ fn write(sheet: &mut RgbImage, text: &str, left: u32, top: u32, dot: u32) {
     }
 }
 
-/// 5×7 dots, top row first, for the letters of the captions.
+/// Bitmap of a caption letter, 5×7 dots, top row first.
 fn glyph(letter: char) -> [u8; 7] {
     match letter {
         'D' => [0b11110, 0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b11110],

@@ -4,30 +4,31 @@ use std::fmt::Write as _;
 
 use super::markup::escaped;
 
-/// A curve.
+/// A line plot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plot {
     /// Caption, with the unit: `"held-out PSNR (dB)"`.
     pub title: String,
     /// Caption of the horizontal axis: `"iteration"`.
     pub x_label: String,
-    /// Logarithmic vertical axis; points ≤ 0 are left out.
+    /// Whether the vertical axis is logarithmic; points ≤ 0 are then left out.
     pub log_y: bool,
     /// (x, value); points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
-    /// Where along x something begins, and what: a rule with its name right of it.
+    /// Named parts of the horizontal axis: the x at which each begins, drawn as a vertical rule with the name to its
+    /// right.
     pub parts: Vec<(f64, String)>,
 }
 
 const WIDTH: f64 = 420.0;
 const HEIGHT: f64 = 240.0;
-/// Left, top, right, bottom.
+/// Margins: left, top, right, bottom.
 const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 36.0];
-/// Points beyond this many are averaged: more cannot be told apart at this width.
+/// Points beyond this many are averaged: more cannot be distinguished at this width.
 const MOST_POINTS: usize = 400;
 
-/// Draws the curve. Colours come from the CSS variables `--ink`, `--rule` and `--accent` of the page around it, with
-/// fallbacks for an SVG on its own.
+/// Draws a plot as SVG. Colours come from the CSS variables `--ink`, `--rule` and `--accent` of the enclosing page,
+/// with fallbacks for standalone SVG.
 #[must_use]
 pub fn svg(plot: &Plot) -> String {
     let scale = |v: f64| if plot.log_y { v.log10() } else { v };
@@ -59,7 +60,7 @@ pub fn svg(plot: &Plot) -> String {
     }
     text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", &escaped(&plot.x_label));
     let within = |x: f64| (x0..=x1).contains(&x);
-    // The first part begins before the first point.
+    // The first part may begin before the first point.
     for (x, name) in plot.parts.iter().filter(|(x, _)| *x <= x1) {
         text(px(x.max(x0)) + 4.0, MARGIN[1] + 8.0, "start", &escaped(name));
     }
@@ -97,14 +98,14 @@ pub fn svg(plot: &Plot) -> String {
     out
 }
 
-/// At most [`MOST_POINTS`] means of runs of neighbours.
+/// Averages runs of neighbouring points to at most [`MOST_POINTS`].
 fn averaged(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let run = points.len().div_ceil(MOST_POINTS).max(1);
     let mean = |c: &[(f64, f64)], f: fn(&(f64, f64)) -> f64| c.iter().map(f).sum::<f64>() / c.len() as f64;
     points.chunks(run).map(|c| (mean(c, |p| p.0), mean(c, |p| p.1))).collect()
 }
 
-/// Lowest and highest value, widened by a `pad` fraction, never empty.
+/// Range of values, widened by the fraction `pad`, never empty.
 fn range(values: impl Iterator<Item = f64>, pad: f64) -> (f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     if low > high {
@@ -118,7 +119,7 @@ fn range(values: impl Iterator<Item = f64>, pad: f64) -> (f64, f64) {
     (low - pad, high + pad)
 }
 
-/// About five round numbers in `low..=high`: multiples of 1, 2 or 5 times a power of ten.
+/// About five tick positions in `low..=high`: multiples of 1, 2 or 5 times a power of ten.
 fn ticks(low: f64, high: f64) -> Vec<f64> {
     let raw = (high - low) / 5.0;
     let decade = 10_f64.powf(raw.log10().floor());
@@ -127,8 +128,8 @@ fn ticks(low: f64, high: f64) -> Vec<f64> {
     (0..12).map(|k| (first + f64::from(k)) * step).take_while(|t| *t <= high).collect()
 }
 
-/// Logarithms of 1, 2 and 5 times powers of ten in `low..=high` (themselves logarithms), thinned over many decades. Where fewer than two of
-/// them are there, of round numbers as a linear axis has them.
+/// Tick positions of a logarithmic axis: logarithms of 1, 2 and 5 times powers of ten in `low..=high` (themselves
+/// logarithms), thinned over many decades. If there are fewer than two, the logarithms of a linear axis's ticks.
 fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     if high - low > 3.0 {
         return ticks(low, high).into_iter().filter(|t| t.fract() == 0.0).collect();
@@ -143,7 +144,7 @@ fn log_ticks(low: f64, high: f64) -> Vec<f64> {
     }
 }
 
-/// `12000` as `12k`, `0.05` as `0.05`, at most four significant digits.
+/// Formats a number for an axis with at most four significant digits: `12000` as `12k`, `0.05` as `0.05`.
 fn short(v: f64) -> String {
     let (v, suffix) = match v.abs() {
         a if a >= 1e6 => (v / 1e6, "M"),

@@ -15,7 +15,7 @@ pub fn psnr(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricErro
     Ok(-10.0 * (squares / truth.as_raw().len() as f64).log10())
 }
 
-/// 8-bit image: values are clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.
+/// Converts to an 8-bit image: values are clamped to \[0, 1\] and rounded to the nearest k/255; NaN becomes 0.
 #[must_use]
 pub fn to_rgb8(image: &Rgb32FImage) -> RgbImage {
     let mut out = RgbImage::new(image.width(), image.height());
@@ -25,7 +25,7 @@ pub fn to_rgb8(image: &Rgb32FImage) -> RgbImage {
     out
 }
 
-/// The image as it comes back from an 8-bit PNG.
+/// Quantises an image to 8 bits, as writing and reading a PNG would.
 #[must_use]
 pub fn quantised(image: &Rgb32FImage) -> Rgb32FImage {
     let mut out = image.clone();

@@ -1,4 +1,4 @@
-//! A self-contained HTML page about a trained scene: nothing is loaded from elsewhere.
+//! Self-contained HTML report on a trained scene, without external resources.
 
 use std::fmt::Write as _;
 
@@ -11,28 +11,28 @@ use super::{
 };
 use crate::base64;
 
-/// What goes on the page.
+/// Content of a report page.
 #[derive(Clone, Debug)]
 pub struct Report<'a> {
     /// Heading: the name of the scene or capture.
     pub title: &'a str,
-    /// The figures.
+    /// Evaluation to show.
     pub evaluation: &'a Evaluation,
-    /// Setting and value, in the order to be shown.
+    /// Settings as (name, value), in display order.
     pub settings: &'a [(String, String)],
-    /// Curves over training, drawn next to each other.
+    /// Training curves, drawn side by side.
     pub plots: &'a [Plot],
-    /// Shown below each other.
+    /// Pictures, shown one below the other.
     pub pictures: &'a [Picture],
 }
 
-/// A captioned picture, kept as JPEG of at most [`MOST_SIDE`] pixels a side.
+/// Captioned picture, kept as a JPEG of at most [`MOST_SIDE`] pixels a side.
 #[derive(Clone, Debug)]
 pub struct Picture {
     caption: String,
     width: u32,
     height: u32,
-    /// What it was, if it was larger.
+    /// Original width and height, if the picture was scaled down.
     shrunk_from: Option<(u32, u32)>,
     jpeg: Vec<u8>,
 }
@@ -41,7 +41,7 @@ impl Picture {
     /// Encodes `image`, see [`super::side_by_side`], scaled down to at most [`MOST_SIDE`] pixels a side.
     ///
     /// # Errors
-    /// If it is empty.
+    /// If the image is empty.
     pub fn new(caption: impl Into<String>, image: &RgbImage) -> Result<Self, ImageError> {
         let mut jpeg = Vec::new();
         let shrunk = shrunk(image);
@@ -52,11 +52,12 @@ impl Picture {
     }
 }
 
-/// Pixels a side of embedded pictures: three photographs of 2048 beside each other, more than four times as wide as the page. JPEG ends
-/// at 65,535, which three of 21,843 exceed.
+/// Most pixels a side of embedded pictures: three photographs of 2048 pixels side by side, more than four times the
+/// width of the page. JPEG is limited to 65,535, which three of 21,843 or more would exceed.
 pub const MOST_SIDE: u32 = 6144;
 
-/// A smaller one in its place, if it needs that. Averaged in integers: a resampling in floats takes gigabytes for the largest.
+/// Scaled-down copy of an image that is larger than [`MOST_SIDE`]. Averages in integers, because resampling in floats
+/// takes gigabytes for the largest images.
 fn shrunk(image: &RgbImage) -> Option<RgbImage> {
     let (width, height) = image.dimensions();
     let longer = u64::from(width.max(height));
@@ -64,10 +65,11 @@ fn shrunk(image: &RgbImage) -> Option<RgbImage> {
     (longer > u64::from(MOST_SIDE)).then(|| imageops::thumbnail(image, scaled(width), scaled(height)))
 }
 
-/// JPEG quality of embedded pictures: no visible loss at a tenth of PNG's bytes. The lossless ones are files.
+/// JPEG quality of embedded pictures: no visible loss at a tenth of the size of PNG. The lossless pictures are separate
+/// files.
 const QUALITY: u8 = 92;
 
-/// The page as one string.
+/// Renders the page as HTML.
 #[must_use]
 pub fn html(report: &Report<'_>) -> String {
     let mut out = String::new();

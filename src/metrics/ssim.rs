@@ -3,17 +3,17 @@ use rayon::prelude::*;
 
 use super::{MetricError, check_least, check_same_size};
 
-/// Half width of the 11-tap window of Wang et al. 2004.
+/// Radius of the 11-tap window of Wang et al. 2004.
 const RADIUS: usize = 5;
 const TAPS: usize = 2 * RADIUS + 1;
-/// Standard deviation of the window in pixels.
+/// Standard deviation of the Gaussian window in pixels.
 const SIGMA: f64 = 1.5;
-/// (0.01·peak)² and (0.03·peak)² for peak 1: keep the ratio finite where an image is black or flat.
+/// SSIM constants (0.01·peak)² and (0.03·peak)² for peak 1; they keep the ratio finite where an image is black or flat.
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 
-/// SSIM as INRIA 3DGS (and the training loss) computes it: windows over the whole image, zeros beyond its edge, mean
-/// over pixels and channels. The convention of the Gaussian-splatting tables.
+/// SSIM as INRIA's 3DGS (and the training loss) computes it: windows centred on every pixel, zero padding, mean over
+/// pixels and channels. This is the convention of published Gaussian-splatting tables.
 ///
 /// # Errors
 /// If the sizes differ or the images are empty.
@@ -22,8 +22,8 @@ pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
     ssim(truth, render, Border::Zero)
 }
 
-/// SSIM over windows that lie inside the image only: as Wang's `ssim.m`, which some call MATLAB's, without its scaling down, scikit-image
-/// with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`, and `NerfBaselines`.
+/// SSIM over windows that lie inside the image only, like Wang's `ssim.m` (sometimes called MATLAB's) without its
+/// downscaling, scikit-image with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`, and `NerfBaselines`.
 ///
 /// # Errors
 /// If the sizes differ or a side is shorter than the window of 11 pixels.
@@ -32,7 +32,7 @@ pub fn ssim_valid(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
     ssim(truth, render, Border::Valid)
 }
 
-/// SSIM over the whole image, continued beyond its edge by reflection about the outermost pixel centres.
+/// SSIM over windows centred on every pixel, with the image reflected about the centres of its outermost pixels.
 ///
 /// # Errors
 /// If the sizes differ or a side is shorter than 6 pixels.
@@ -41,7 +41,7 @@ pub fn ssim_reflect(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Me
     ssim(truth, render, Border::Reflect)
 }
 
-/// What the window sees beyond the image.
+/// Border handling of windows that extend beyond the image.
 #[derive(Clone, Copy)]
 enum Border {
     Zero,
@@ -50,7 +50,7 @@ enum Border {
 }
 
 impl Border {
-    /// Windows along `length` pixels.
+    /// Number of windows along `length` pixels.
     fn windows(self, length: usize) -> usize {
         match self {
             Self::Valid => length.saturating_sub(2 * RADIUS),
@@ -58,7 +58,7 @@ impl Border {
         }
     }
 
-    /// Pixel under tap `k` of window `w`, or none where the window sees a zero.
+    /// Pixel under tap `k` of window `w`; `None` where the window sees zero padding.
     fn pixel(self, w: usize, k: usize, length: usize) -> Option<usize> {
         match self {
             Self::Valid => Some(w + k),
@@ -71,7 +71,7 @@ impl Border {
     }
 }
 
-/// Mean over channels; the caller has checked that there is a window.
+/// Mean SSIM over the channels; the caller has checked that at least one window fits.
 fn ssim(truth: &Rgb32FImage, render: &Rgb32FImage, border: Border) -> Result<f64, MetricError> {
     check_same_size(truth, render)?;
     let (width, height) = (truth.width() as usize, truth.height() as usize);
@@ -94,7 +94,7 @@ fn plane(x: &[f64], y: &[f64], width: usize, height: usize, border: Border) -> f
     windows.iter().map(ssim).sum::<f64>() / windows.len() as f64
 }
 
-/// Blurs along rows of `width` and returns the transposed image, so that two calls blur both ways.
+/// Blurs along rows of `width` pixels and returns the transposed image, so that two calls blur in both directions.
 fn blur_transposed(image: &[[f64; 5]], width: usize, border: Border) -> Vec<[f64; 5]> {
     let weights = window();
     let height = image.len() / width;
@@ -116,7 +116,7 @@ fn blur_transposed(image: &[[f64; 5]], width: usize, border: Border) -> Vec<[f64
         .collect()
 }
 
-/// The normalised 1-D Gaussian.
+/// Normalised 1-D Gaussian window.
 fn window() -> [f64; TAPS] {
     let g: [f64; TAPS] = std::array::from_fn(|k| (-(k as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
     let sum: f64 = g.iter().sum();

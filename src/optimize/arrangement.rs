@@ -1,4 +1,4 @@
-//! Splats while they are added, moved and removed.
+//! The working set of a density step: splats while they are added, moved and removed.
 
 use glam::{DQuat, Vec3};
 
@@ -10,8 +10,8 @@ use crate::{
     scene::{keep_rows, smoothed},
 };
 
-/// Splats by what decides about them, their geometry, and of which splat each takes the rest: SH coefficients and moments of Adam, 14 of 15
-/// floats of degree 3, which stay on the GPU.
+/// Geometry of the splats, on which density control decides, and for each the splat that it takes the rest from: SH
+/// coefficients and moments of Adam, 14 of 15 floats at degree 3, which stay on the GPU.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Arrangement {
     geometry: Vec<f32>,
@@ -19,7 +19,8 @@ pub(super) struct Arrangement {
 }
 
 impl Arrangement {
-    /// All splats of this geometry, laid out as [`SplatState::geometry`](crate::render::gpu::state::SplatState::geometry), at their places.
+    /// An arrangement of all splats in their present order, from geometry laid out as
+    /// [`SplatState::geometry`](crate::render::gpu::state::SplatState::geometry).
     #[must_use]
     pub(super) fn new(geometry: Vec<f32>) -> Self {
         let sources = (0..geometry.len() / GEOMETRY_FLOATS).map(Source::new).collect();
@@ -32,13 +33,13 @@ impl Arrangement {
         self.sources.len()
     }
 
-    /// `[N·12]`.
+    /// Geometry of all splats, `[N·12]`.
     #[must_use]
     pub(super) fn geometry(&self) -> &[f32] {
         &self.geometry
     }
 
-    /// `[N]`, splats of before.
+    /// Source of each splat, `[N]`: the splat before the step that its SH coefficients and moments come from.
     #[must_use]
     pub(super) fn sources(&self) -> &[Source] {
         &self.sources
@@ -55,8 +56,8 @@ impl Arrangement {
         keep_rows(&mut self.sources, 1, kept.into_iter());
     }
 
-    /// Appends a copy of splat `i` with moments of zero: what it has learnt of its gradients is not the copy's, which
-    /// will share them.
+    /// Appends a copy of splat `i` with moments of zero: the copy will share the gradients of its source, whose moments
+    /// describe all of them.
     ///
     /// # Panics
     /// If `i` is out of range.
@@ -65,7 +66,7 @@ impl Arrangement {
         self.sources.push(self.sources[i].without_moments());
     }
 
-    /// Overwrites splat `to` by splat `from`, with moments of zero.
+    /// Overwrites splat `to` with splat `from`, moments set to zero.
     ///
     /// # Panics
     /// If one is out of range.
@@ -113,7 +114,7 @@ impl Arrangement {
         sigmoid(self.row(i)[OPACITY])
     }
 
-    /// What smoothing leaves of the opacity of splat `i`, 0 to 1.
+    /// Factor, 0 to 1, by which smoothing reduces the opacity of splat `i`.
     ///
     /// # Panics
     /// If `i` is out of range.
@@ -123,7 +124,7 @@ impl Arrangement {
         smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
     }
 
-    /// Opacity of splat `i` as it is seen: smoothed.
+    /// Opacity of splat `i` as rendered: its own times [`Self::smoothing_factor`].
     ///
     /// # Panics
     /// If `i` is out of range.
@@ -141,7 +142,7 @@ impl Arrangement {
         Vec3::from_slice(&self.row(i)[LOG_SCALE]).exp()
     }
 
-    /// Moves splat `i` by `offset` along its axes, world units.
+    /// Moves splat `i` by `offset`, in world units along the splat's own axes.
     ///
     /// # Panics
     /// If `i` is out of range.
@@ -154,7 +155,7 @@ impl Arrangement {
         (Vec3::from_slice(&row[MEAN]) + offset.as_vec3()).write_to_slice(&mut row[MEAN]);
     }
 
-    /// The first geometry that is not finite: its group of parameters and its splat.
+    /// Group of parameters and index of the first splat whose geometry is not finite.
     #[must_use]
     pub(super) fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         geometry_not_finite(&self.geometry)

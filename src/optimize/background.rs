@@ -1,6 +1,8 @@
-//! Splats for what is behind all points: structure from motion finds none in the sky, nor in what is too far or too smooth.
+//! Initial splats behind all points: structure from motion finds no points in the sky, nor on what is too far away or
+//! too smooth.
 //!
-//! Without them a sky stays black until splats have wandered there, for hundreds of iterations, and what is near is bent to cover it.
+//! Without these splats the sky stays black for hundreds of iterations, until others have wandered there, and near
+//! geometry is bent to cover it.
 
 use std::{f64::consts::TAU, sync::Arc};
 
@@ -17,19 +19,22 @@ use crate::{
     scene::{Camera, LARGEST_COORDINATE, Splats, center_and_spread},
 };
 
-/// Directions that are looked at, all around: some 3° apart.
+/// Number of directions tested over the whole sphere, some 3° apart.
 const DIRECTIONS: usize = 4000;
-/// Part of the views into a direction that must find it clear: from elsewhere a tree may stand before the sky.
+/// Least share of the views looking in a direction that must find it clear of points: from the others a tree may stand
+/// before the sky.
 const CLEAR_VIEWS: f64 = 0.6;
-/// Mean distance of the colours that those which find it clear show in a direction, above which they show something near: walls without
-/// points differ with the place that they are seen from, a sky does not.
+/// Largest mean colour deviation among unobstructed views of a direction for it to count as sky. More means nearby
+/// structure: walls without points change with the viewpoint, the sky does not.
 const SPREAD: f32 = 0.1;
-/// Distance of the splats in extents of the cameras, but beyond all points: with more, they would hardly shift against another.
+/// Distance of the splats, in extents of the cameras, unless points lie farther: at this distance there is hardly any
+/// parallax between the cameras.
 const DISTANCE: f64 = 30.0;
 
-/// Splats in the directions in which most of the views that look there look past all points, with the colours that are seen there;
-/// at most `max_splats`, evenly. Round, about as wide as they are apart, of opacity ½. None where points say nothing of the size of
-/// the scene, nor in the colour of the `background`, which is there without them (RGB; `None` if it is another every time).
+/// Creates splats in the directions in which most of the views that look there see past all points, with the colours
+/// seen there; at most `max_splats`, evenly distributed. Splats are round, about as wide as their spacing, with opacity
+/// ½. None are made where the points do not tell the size of the scene, nor where the colour equals the `background`
+/// (RGB; `None` if it changes with every iteration), which is rendered there anyway.
 ///
 /// `photo` decodes a view's picture.
 ///
@@ -57,7 +62,7 @@ pub(super) fn behind_points(
         .collect();
     let step = if clear.is_empty() { usize::MAX } else { stride(views.len()) };
     let some: Vec<_> = views.iter().zip(&maps).step_by(step).collect();
-    // Of every picture the colours alone are kept.
+    // Only the colours of each picture are kept.
     let shown: Vec<Vec<Option<Vec3>>> = (some.into_par_iter())
         .map(|(view, map)| photo(view).map(|photo| clear.iter().map(|d| map.color(*d, &photo)).collect()))
         .collect::<Result<_, CaptureError>>()?;
@@ -76,7 +81,8 @@ pub(super) fn behind_points(
     Ok(round_splats(means, &vec![(apart / 2.0) as f32; kept.len()], &colors, 0.5, sh_degree)?)
 }
 
-/// Where the splats lie: around the cameras, beyond all points but the outermost hundredth, which may be mismatched.
+/// Centre and radius of the sphere that the splats lie on: around the cameras, and beyond all points but the outermost
+/// hundredth, which may be mismatched.
 fn sphere(views: &[&View], points: &[Point]) -> Option<(DVec3, f64)> {
     let cameras = || views.iter().map(|v| &v.camera);
     let (center, _) = center_and_spread(cameras());
@@ -100,7 +106,8 @@ fn directions() -> impl Iterator<Item = DVec3> {
     })
 }
 
-/// Which cells of a view's picture have points before them, hidden or not. A direction is clear if its cell and the eight around it have none.
+/// Cells of a view's picture onto which points project, hidden or not. A direction is clear if its cell and the eight
+/// around it hold no point.
 struct Clear {
     cells: Cells,
     taken: Vec<bool>,
@@ -114,20 +121,20 @@ impl Clear {
         Self { cells, taken }
     }
 
-    /// Where the view sees a direction, if it does.
+    /// Pixel position at which the view sees a direction, if it does.
     fn pixel_of(&self, direction: DVec3) -> Option<DVec2> {
         let camera = &self.cells.camera;
         camera.in_picture(camera.rotation() * direction)
     }
 
-    /// The colour of a clear direction in the view's picture, where that is whole.
+    /// Colour, 0 to 1, of a clear direction in the view's picture; `None` unless that pixel's alpha is 255.
     fn color(&self, direction: DVec3, photo: &Photo) -> Option<Vec3> {
         let uv = self.pixel_of(direction).filter(|_| self.is_clear(direction) == Some(true))?;
         let rgb = photo.whole(photo.index_at(uv))?;
         Some(Vec3::from(rgb.map(f32::from)) / 255.0)
     }
 
-    /// Whether no point is near that direction; `None` if the view does not look there.
+    /// Whether no point projects near a direction; `None` if the view does not look there.
     fn is_clear(&self, direction: DVec3) -> Option<bool> {
         let at = self.cells.at(self.pixel_of(direction)?);
         Some(!self.cells.around(at).any(|cell| self.taken[cell]))

@@ -1,37 +1,38 @@
-//! Splats where points are not: a picture's plane in square cells, to tell where it shows points and where it does not, and what else the
-//! two have in common that put them there.
+//! A grid of square cells over the image, shared by `background` and `coverage` to find cells without points; and
+//! helpers that both use.
 
 use glam::{DVec2, DVec3, USizeVec2};
 
 use crate::scene::Camera;
 
-/// Side of a cell as a part of the picture's longer side.
+/// Side of a cell, as a fraction of the longer side of the image.
 const CELL: f64 = 0.03;
-/// Pictures that are looked at, at most: each is decoded for it.
+/// Most pictures to look at, since each is decoded for it.
 const PICTURES: usize = 128;
-/// Colours that differ by less in all channels are one: two steps of 255.
+/// Difference per channel below which two colours count as equal: two steps of 255.
 const ONE_COLOR: f32 = 2.0 / 255.0;
 
-/// One in how many of `views` is looked at.
+/// Step through `views` such that at most [`PICTURES`] are looked at.
 pub(super) fn stride(views: usize) -> usize {
     views.div_ceil(PICTURES).max(1)
 }
 
-/// Whether a splat of this colour would show what is seen without it, too: the background, unless that changes (`None`).
+/// Whether a splat of this colour would look like the background without it; never if the background changes with every
+/// iteration (`None`).
 pub(super) fn is_needless(color: [f32; 3], background: Option<[f32; 3]>) -> bool {
     background.is_some_and(|empty| color.iter().zip(empty).all(|(c, e)| (c - e).abs() < ONE_COLOR))
 }
 
-/// `most` of all, or fewer, evenly.
+/// At most `most` elements, evenly spaced over `all`.
 pub(super) fn evenly<T>(all: &[T], most: usize) -> Vec<&T> {
     let n = all.len().min(most);
     (0..n).map(|i| &all[i * all.len() / n]).collect()
 }
 
-/// The cells of what a camera sees, in rows from the top.
+/// A grid of cells over a camera's image, row by row from the top.
 pub(super) struct Cells {
     pub(super) camera: Camera,
-    /// Pixels; at least one.
+    /// Side of a cell, pixels; at least one.
     pub(super) side: f64,
     pub(super) columns: usize,
     pub(super) rows: usize,
@@ -49,19 +50,19 @@ impl Cells {
         self.columns * self.rows
     }
 
-    /// The cell of a place in the picture, in pixels.
+    /// Index of the cell that holds an image position, pixels.
     pub(super) fn at(&self, uv: DVec2) -> usize {
-        // A place just inside the rim may be rounded onto it.
+        // A position just inside the border may be rounded onto it.
         let at = (uv / self.side).as_usizevec2().min(USizeVec2::new(self.columns - 1, self.rows - 1));
         at.y * self.columns + at.x
     }
 
-    /// The cell in which a camera-space point, or direction, is seen, if it is.
+    /// Index of the cell that a camera-space point or direction projects into, if it is in the picture.
     pub(super) fn of(&self, p: DVec3) -> Option<usize> {
         self.camera.in_picture(p).map(|uv| self.at(uv))
     }
 
-    /// Pixels a cell reaches over, `[from, to)` in x and in y.
+    /// Pixel ranges of a cell, `[from, to)` in x and in y.
     pub(super) fn pixels(&self, cell: usize) -> [[u32; 2]; 2] {
         let k = self.camera.intrinsics();
         let range = |at: usize, size: u32| {
@@ -71,7 +72,7 @@ impl Cells {
         [range(cell % self.columns, k.width), range(cell / self.columns, k.height)]
     }
 
-    /// A cell and those beside it, at corners too.
+    /// A cell and its up to eight neighbours.
     pub(super) fn around(&self, cell: usize) -> impl Iterator<Item = usize> + use<> {
         let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
         let (columns, width) = (near(cell % self.columns, self.columns), self.columns);

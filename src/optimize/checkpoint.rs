@@ -1,4 +1,5 @@
-//! An optimisation on disk, from which it can go on: a safetensors file with all parameters and moments, and a checksum at its end.
+//! Checkpoints: the state of an optimisation on disk, from which it can resume. A safetensors file with all parameters
+//! and moments, and a checksum at its end.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -26,10 +27,10 @@ pub const VERSION: u32 = 18;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";
-/// Name of the last array, one number: the CRC-32 of all bytes before it. A run that goes on from a flipped bit is another run, which nothing
-/// else would tell.
+/// Name of the last array, one number: the CRC-32 of all bytes before it. Resuming from a flipped bit would be another
+/// run, and nothing else would notice.
 const CHECKSUM: &str = "checksum";
-/// Longest header of a safetensors file that its readers take, bytes.
+/// Longest safetensors header that readers of the format accept, bytes.
 const MAX_HEADER: usize = 100_000_000;
 /// Names of the arrays of [`SplatState`].
 const SPLATS: [&str; 6] =
@@ -41,14 +42,14 @@ const SPLATS: [&str; 6] =
 /// and the 128-bit state of a generator must be a string.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Checkpoint {
-    /// The optimiser's own: phase, iteration, options, what the run was given …
+    /// The optimiser's own state: phase, iteration, options, the input of the run …
     pub meta: Value,
     /// The splats with their moments.
     pub splats: SplatState,
     /// Other arrays by name, such as texels and their moments. Names must not be `checksum` or begin with
     /// `splats/`.
     pub tensors: BTreeMap<String, Vec<f32>>,
-    /// Whole numbers by name, such as the corners of triangles. Names must be others than those of `tensors`.
+    /// Integer arrays by name, such as the corners of triangles. Names must differ from those of `tensors`.
     pub indices: BTreeMap<String, Vec<u32>>,
 }
 
@@ -56,24 +57,24 @@ pub struct Checkpoint {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CheckpointError {
-    /// The file system said no.
+    /// Reading or writing failed.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The content makes no sense.
+    /// The content is not valid.
     #[error("{}: {field}: expected {expected}, found {found}", path.display())]
     Invalid {
         /// The file.
         path: PathBuf,
         /// The part at fault.
         field: String,
-        /// What would have been accepted.
+        /// What is expected there.
         expected: String,
-        /// What was there.
+        /// What was found there.
         found: String,
     },
 }
@@ -85,14 +86,14 @@ struct Header {
     meta: Value,
 }
 
-/// What is wrong with the checkpoint at `path`, or with what is to be one.
+/// Error constructor for the checkpoint at `path`, read or about to be written.
 fn invalid(path: &Path) -> impl Fn(SceneError) -> CheckpointError {
     |SceneError { field, expected, found }| CheckpointError::Invalid { path: path.into(), field, expected, found }
 }
 
 impl Checkpoint {
-    /// Writes to a temporary file in the same folder and renames it to `path`, so that a crash, of the machine too,
-    /// leaves the old one.
+    /// Writes to a temporary file in the same folder and renames it to `path`, so that a crash, even of the machine,
+    /// leaves the old file.
     ///
     /// # Errors
     /// If the file cannot be written, or would not be accepted by [`Self::read`].
@@ -104,14 +105,14 @@ impl Checkpoint {
         let own = SPLATS.into_iter().zip(self.splats.arrays().map(Array::Floats));
         let others = self.tensors.iter().map(|(name, values)| (name.as_str(), Array::Floats(values)));
         let indices = self.indices.iter().map(|(name, values)| (name.as_str(), Array::Indices(values)));
-        // The checksum is known when all else is written.
+        // The checksum is known only once everything else is written.
         let arrays: Vec<_> = own.chain(others).chain(indices).chain([(CHECKSUM, Array::Indices(&[0]))]).collect();
         let too_much = |e: String| invalid(path)(SceneError::new("checkpoint", "at most 100 MB of metadata", e));
         let header = described(&arrays, header).map_err(|e| too_much(e.to_string()))?;
         if header.len() > MAX_HEADER {
             return Err(too_much(format!("{} bytes", header.len())));
         }
-        // In the order in which they are described.
+        // Arrays in the order of their descriptions.
         atomic::write_with(path, |out| {
             let mut out = CrcWriter::new(out);
             out.write_all(&(header.len() as u64).to_le_bytes())?;
@@ -119,7 +120,7 @@ impl Checkpoint {
             arrays[..arrays.len() - 1].iter().try_for_each(|(_, array)| array.write(&mut out))?;
             let sum = out.crc().sum();
             Array::Indices(&[sum]).write(&mut out)?;
-            // Before it takes the old one's place.
+            // Flushed to disk before it replaces the old file.
             let out = out.into_inner();
             out.flush()?;
             out.get_ref().sync_all()
@@ -128,11 +129,11 @@ impl Checkpoint {
         .map_err(|source| CheckpointError::Io { path: path.into(), source })
     }
 
-    /// Reads what [`Self::write`] wrote.
+    /// Reads a file written by [`Self::write`].
     ///
     /// # Errors
-    /// If the file cannot be read, is no safetensors file of this version, is not as it was written, or has an array that is missing, of
-    /// the wrong type or length, or not finite.
+    /// If the file cannot be read, is no safetensors file of this version, has the wrong checksum, or has an array that
+    /// is missing, of the wrong type or length, or not finite.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Io { path: path.into(), source })?;
         Self::from_bytes(&bytes).map_err(invalid(path))
@@ -222,8 +223,8 @@ impl Checkpoint {
     }
 }
 
-/// Error if an array ends behind the end of the file. `safetensors` says so too, but adds to the offsets first, which
-/// overflows for those that somebody made up.
+/// Checks that no array ends behind the end of the file. `safetensors` checks it too, but adds to the offsets first,
+/// which overflows for forged ones.
 fn check_offsets(bytes: &[u8]) -> Result<(), SceneError> {
     let no_file = |found: String| SceneError::new("file", "a safetensors file", found);
     let too_short = || no_file(format!("{} byte{}", bytes.len(), if bytes.len() == 1 { "" } else { "s" }));
@@ -242,7 +243,7 @@ fn check_offsets(bytes: &[u8]) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// Error unless the last four bytes are the checksum of the others.
+/// Checks that the last four bytes are the checksum of all others.
 fn check_sum(bytes: &[u8]) -> Result<(), SceneError> {
     let (content, stated) = bytes.split_last_chunk().unwrap_or((bytes, &[0; 4]));
     let (mut crc, stated) = (Crc::new(), u32::from_le_bytes(*stated));
@@ -278,8 +279,8 @@ impl<'a> Array<'a> {
     }
 }
 
-/// The header of a safetensors file of these arrays, one behind the other, padded to eight bytes. `safetensors` writes such a file only
-/// from memory that holds it, or by itself and for its owner alone.
+/// The header of a safetensors file that holds these arrays one behind the other, padded to eight bytes. `safetensors`
+/// itself would need the whole file in memory, or write it under its own name and readable by its owner alone.
 fn described(arrays: &[(&str, Array)], header: String) -> Result<Vec<u8>, SafeTensorError> {
     let mut end = 0;
     let infos = arrays.iter().map(|(name, array)| {

@@ -1,7 +1,8 @@
-//! Splats for what photographs show where structure from motion found nothing: smooth walls, and what lies beyond the points at the rims
-//! of pictures.
+//! Initial splats where photographs show something but structure from motion found no points: smooth walls, and what
+//! lies beyond the points at the borders of pictures.
 //!
-//! Splats of points begin small, so that such places stay black until others have grown over them, for hundreds of iterations.
+//! Splats made from points begin small, so that without these such places stay black for hundreds of iterations, until
+//! others have grown over them.
 
 use std::sync::Arc;
 
@@ -20,60 +21,65 @@ use crate::{
     stats::quantile,
 };
 
-/// How far beyond its picture a view is covered, as a part of the longer side: others may see there what none of the training views do.
+/// Border around a picture that is covered too, as a fraction of its longer side: other views may see there what no
+/// training view does.
 const MARGIN: f64 = 0.1;
-/// A splat is not put where it would be nearer than this part of the depth of every point and mesh that a view shows there … Not much less
-/// than 1: through a long lens, what stands beside an object is hardly nearer than the object itself.
+/// A splat is not placed nearer than this fraction of the depth of every point and mesh that a view shows there … Close
+/// to 1, since through a long lens what stands beside an object is hardly nearer than the object itself.
 const NEARER: f64 = 0.95;
-/// … in more than this part of the views that show anything there: it would float before what they see.
+/// … in more than this fraction of the views that show anything there: it would float in front of what they see.
 const HIDING_VIEWS: f64 = 0.25;
-/// Nor is it put before any camera nearer than this part of the depth of the nearest points that the camera sees, or of the distance to the
-/// nearest mesh: the camera was there, and saw past it …
+/// Nor is it placed in front of any camera, nearer than this fraction of the depth of the nearest points that the
+/// camera sees, or of the distance to the nearest mesh: the camera was there, and saw past it …
 const CLEAR: f64 = 0.8;
-/// … the nearest but for this part of them, which may be mismatched.
+/// … after leaving out this fraction of the nearest points, which may be mismatched.
 const WILD: f64 = 0.02;
-/// Where it would float, it is tried so much farther from the camera that shows it …
+/// Where a splat would float, it is tried at this multiple of its distance from the camera that shows it …
 const FARTHER: f64 = 1.5;
-/// … so many times, which is 26 times as far: beyond an object and the cameras on its other side, or in what surrounds them.
+/// … up to this many times, ending 26 times as far: beyond an object and the cameras on its other side, or in what
+/// surrounds them.
 const TRIES: i32 = 8;
-/// What is dim, less than this from the background in every channel, is put as far away as the views allow unless it is between points: in the
-/// air it would be fog before what no training view sees from there, and where it is missing that is hardly to be seen …
+/// A dim splat, less than this from the background in every channel, is placed as far away as the views allow unless it
+/// lies between points: in mid-air it would be fog in front of what no training view sees from there, and its absence
+/// is hardly noticed …
 const DIM: f32 = 0.25;
-/// … where points on two opposite sides are no more than this factor apart in depth …
+/// … with points on two opposite sides whose depths differ by no more than this factor counting as between …
 const ONE_DEPTH: f64 = 1.5;
-/// … and the views allow what other views tell about as well as the best, by shares of them …
+/// … and "as the views allow" meaning that the evidence of the other views is at most this much below the best, as a
+/// share of views …
 const AS_EVIDENT: f64 = 0.15;
-/// … which may show the same thing where colours differ by less than this in every channel.
+/// … where a view counts as showing the same thing if colours differ by less than this in every channel.
 const ALIKE: f32 = 0.1;
 
-/// What there is already, in the capture's frame.
+/// Known scene content, in the capture's frame.
 pub(super) struct Known<'a> {
-    /// Points, and splats that lie farther away.
+    /// Points, and the splats placed farther away.
     pub points: &'a [DVec3],
-    /// Meshes that are given.
+    /// Given meshes.
     pub meshes: &'a MeshBvh,
-    /// What is no farther from a camera than this, in camera-space z, it does not see.
+    /// Near plane: smallest camera-space z that a camera sees.
     pub near: f64,
-    /// What is behind everything, RGB; `None` if that is another colour every time.
+    /// Background colour, RGB; `None` if it changes with every iteration.
     pub background: Option<[f32; 3]>,
 }
 
 impl Known<'_> {
-    /// Whether a camera sees a mesh where it sees `p`, in between these parts of the way there.
+    /// Whether a camera's ray towards `p` hits a mesh between these fractions of the way there.
     fn has_mesh(&self, camera: &Camera, p: DVec3, from: f64, to: f64) -> bool {
         Sight::to(camera, p, self.near).has_hit(self.meshes, from, to)
     }
 }
 
-/// Splats in the cells of the views' pictures, and a little beyond, that show no point and no mesh, as deep as the points around them, or
-/// deeper where they would hide what other views see or be right before a camera, or are dim and not between points; in the colours of the
-/// photograph, and at most `max_splats`, evenly. Round, their deviation half a cell, of opacity ½. What one view has put somewhere, the
-/// next counts among its points.
+/// Creates one splat per image cell (plus a 10 % border) that contains no point and no mesh. Depth is interpolated from
+/// neighbouring cells, and increased while the splat would hide what another view sees or float right in front of a
+/// camera, or if it is dim and not between points. Colours are the photograph's; at most `max_splats` are made, evenly
+/// distributed. Splats are round, their deviation half a cell, with opacity ½. Splats placed by one view count as
+/// points for the next.
 ///
-/// Where a view shows the background there may be nothing, and nothing is put. It shows all points before it, hidden or not: where it
-/// sees a bare wall and there are points behind that, nothing is put either.
+/// No splat is placed where a view shows the background, as there may be nothing. A cell contains all points that
+/// project into it, hidden or not: a bare wall with points behind it gets no splat either.
 ///
-/// `photo` decodes a view's picture. What it masks is left out.
+/// `photo` decodes a view's picture. Cells with masked pixels are left out.
 ///
 /// # Errors
 /// If a photograph cannot be read or `sh_degree` exceeds 3.
@@ -94,7 +100,7 @@ pub(super) fn between_points(
         .collect::<Result<Vec<Shown>, CaptureError>>()?;
     let found = covers(&maps, known);
     let kept = evenly(&found, max_splats);
-    // Fewer are larger.
+    // Fewer splats are made larger.
     let wider = (found.len() as f64 / kept.len().max(1) as f64).sqrt();
     let means = kept.iter().map(|c| c.mean.as_vec3()).collect();
     let scales: Vec<f32> = kept.iter().map(|c| (c.scale * wider) as f32).collect();
@@ -102,7 +108,7 @@ pub(super) fn between_points(
     Ok(round_splats(means, &scales, &colors, 0.5, sh_degree)?)
 }
 
-/// All of them, view by view.
+/// All splats to place, view by view.
 fn covers(maps: &[Shown], known: &Known) -> Vec<Cover> {
     let mut found: Vec<Cover> = vec![];
     for map in maps {
@@ -123,7 +129,7 @@ fn covers(maps: &[Shown], known: &Known) -> Vec<Cover> {
     found
 }
 
-/// A splat to be.
+/// A splat to be placed.
 struct Cover {
     mean: DVec3,
     scale: f64,
@@ -131,29 +137,29 @@ struct Cover {
 }
 
 impl Cover {
-    /// What looks the same from `eye`, `factor` times as far away.
+    /// The splat that looks the same from `eye`, `factor` times as far away.
     fn farther(&self, eye: DVec3, factor: f64) -> Self {
         Self { mean: eye + factor * (self.mean - eye), scale: factor * self.scale, color: self.color }
     }
 
-    /// Whether a splat can be there.
+    /// Whether position and scale are valid for a splat.
     fn is_valid(&self) -> bool {
         self.mean.abs().max_element() < LARGEST_COORDINATE && (self.scale as f32).is_normal()
     }
 }
 
-/// What a view shows in each of its cells.
+/// Contents of each cell of a view's picture.
 struct Shown {
     cells: Cells,
-    /// Inverse of the depth of the nearest point in the cell.
+    /// Inverse depth of the nearest point in the cell.
     points: Vec<Option<f64>>,
-    /// Inverse depth as it is there or around.
+    /// Median inverse depth of the points in the cell, or of cells around it.
     nearness: Vec<Option<f64>>,
-    /// Mean colour, where nothing is masked.
+    /// Mean colour, unless a pixel of the cell is masked.
     colors: Vec<Option<[f32; 3]>>,
-    /// Whether it is of the picture, and not of what is beyond its rim.
+    /// Whether the cell is in the picture, not in the border around it.
     is_inside: Vec<bool>,
-    /// Distance from the camera within which there is nothing before it.
+    /// Distance from the camera within which nothing is in front of it.
     clear: f64,
 }
 
@@ -176,7 +182,7 @@ impl Shown {
             median[cell[0].0] = Some(cell[cell.len() / 2].1);
         }
         let colors = (0..cells.len()).map(|cell| mean_color(cells.pixels(cell), margin, photo)).collect();
-        // By the middle of the cell.
+        // Decided by the middle of the cell.
         let within = |[from, to]: [u32; 2], size: u32| (2 * margin..2 * (margin + size)).contains(&(from + to));
         let is_inside = (0..cells.len()).map(|cell| cells.pixels(cell));
         let is_inside = is_inside.map(|[x, y]| within(x, photo.width) && within(y, photo.height)).collect();
@@ -187,7 +193,7 @@ impl Shown {
         self.cells.of(self.cells.camera.to_camera(p))
     }
 
-    /// Whether there are points of about one depth on two opposite sides of a cell.
+    /// Whether points of similar depth lie on two opposite sides of a cell.
     fn is_between(&self, cell: usize) -> bool {
         [[1, 0], [0, 1], [1, 1], [1, -1]].into_iter().any(|[dx, dy]| {
             let sides = self.beside(cell, [dx, dy]).zip(self.beside(cell, [-dx, -dy]));
@@ -195,7 +201,7 @@ impl Shown {
         })
     }
 
-    /// Inverse of the depth of the point next to a cell in a direction, in cells.
+    /// Inverse depth of the nearest occupied cell in a direction, given in cells per step.
     fn beside(&self, cell: usize, [dx, dy]: [isize; 2]) -> Option<f64> {
         let (columns, rows) = (self.cells.columns, self.cells.rows);
         let (x, y) = (cell % columns, cell / columns);
@@ -205,13 +211,13 @@ impl Shown {
             .find_map(|(x, y)| self.points[y * columns + x])
     }
 
-    /// Whether the picture has a colour alike at `p`, if it shows that.
+    /// Whether the picture shows a similar colour at `p`; `None` if `p` is outside of it or masked.
     fn is_alike_at(&self, p: DVec3, color: [f32; 3]) -> Option<bool> {
         let at = self.cell_of(p).filter(|&cell| self.is_inside[cell])?;
         Some(are_within(ALIKE, self.colors[at]?, color))
     }
 
-    /// Share of the picture that has.
+    /// Share of the picture's cells that have a similar colour.
     fn share_alike(&self, color: [f32; 3]) -> f64 {
         let inside = self.colors.iter().zip(&self.is_inside).filter_map(|(c, is_inside)| c.filter(|_| *is_inside));
         let (alike, all) =
@@ -229,18 +235,18 @@ impl Shown {
     }
 }
 
-/// The least of some depths, but for what may be wild; 0 if there are none.
+/// Least depth but for the [`WILD`] fraction that may be mismatched; 0 if there are none.
 fn nearest_depth(depths: Vec<f64>) -> f64 {
     quantile(depths, WILD).unwrap_or(0.0)
 }
 
-/// Whether a splat would stand right before a camera, or before the points and meshes of too many views.
+/// Whether a splat would stand right in front of a camera, or occlude the points and meshes of too many views.
 fn hides(cover: &Cover, maps: &[Shown], known: &Known) -> bool {
     let (mut before, mut shown) = (0, 0);
     for map in maps {
         let camera = &map.cells.camera;
         let p = camera.to_camera(cover.mean);
-        // Behind a camera there may be a wall.
+        // Only splats in front of the camera count: behind it there may be a wall.
         if p.z > 0.0 && p.length() < map.clear {
             return true;
         }
@@ -259,8 +265,9 @@ fn hides(cover: &Cover, maps: &[Shown], known: &Known) -> bool {
     f64::from(before as u32) > HIDING_VIEWS * f64::from(shown as u32)
 }
 
-/// The last of these, ever farther from the camera of `own` and of one colour, that the other views speak for about as much as for any: as
-/// much more often as they have that colour there than anywhere. Few views say little.
+/// The farthest of these candidates, which recede from the camera of `own` and share one colour, whose evidence is
+/// close to the best. Evidence is how much more often the other views show a similar colour at that place than anywhere
+/// in their pictures; with few views it is low.
 fn farthest_evident(covers: impl Iterator<Item = Cover>, own: &Shown, maps: &[Shown]) -> Option<Cover> {
     let covers: Vec<Cover> = covers.collect();
     let color = covers.first()?.color;
@@ -279,12 +286,12 @@ fn farthest_evident(covers: impl Iterator<Item = Cover>, own: &Shown, maps: &[Sh
     covers.into_iter().nth(at)
 }
 
-/// Whether no channel of two colours differs by as much as `most`.
+/// Whether two colours differ by less than `most` in every channel.
 fn are_within(most: f32, a: [f32; 3], b: [f32; 3]) -> bool {
     a.iter().zip(b).all(|(a, b)| (a - b).abs() < most)
 }
 
-/// Values of cells that have none: means of those beside them, outwards.
+/// Fills cells without a value with the mean of their neighbours, outwards until all are reached.
 fn spread(cells: &Cells, mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
     loop {
         let empty: Vec<usize> = (0..values.len()).filter(|&i| values[i].is_none()).collect();
@@ -302,13 +309,14 @@ fn spread(cells: &Cells, mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
     }
 }
 
-/// Pixels beyond each side of a picture.
+/// Width of the border around a picture, pixels.
 fn margin(camera: &Camera) -> u32 {
     let k = camera.intrinsics();
     (MARGIN * f64::from(k.longer_side())).round() as u32
 }
 
-/// Mean colour of some pixels of a picture with a margin, which repeats what is at its rim; if there are any, and all of them count.
+/// Mean colour of a range of pixels of the picture with its border, which repeats the picture's edge; `None` if the
+/// range is empty or a pixel in it is masked.
 fn mean_color([x, y]: [[u32; 2]; 2], margin: u32, photo: &Photo) -> Option<[f32; 3]> {
     let inside = |at: u32, size: u32| at.saturating_sub(margin).min(size.saturating_sub(1)) as usize;
     let (mut sum, mut count) = ([0; 3], 0);

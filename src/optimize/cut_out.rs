@@ -1,4 +1,4 @@
-//! What photographs leave out, by a mask or by alpha: no surface is made of it.
+//! Photographs with masks or alpha: no surface is made of what these leave out.
 
 use crate::capture::Photo;
 

@@ -8,9 +8,9 @@ pub(super) mod mcmc;
 use super::arrangement::Arrangement;
 use crate::render::gpu::state::{OPACITY, logit};
 
-/// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of
-/// Σ‖(½W·∂L/∂u, ½H·∂L/∂v)‖, number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
-/// AbsGS, the first once more with the sums over pixels of the absolute values of what each contributes to ∂L/∂u and ∂L/∂v.
+/// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of Σ‖(½W·∂L/∂u,
+/// ½H·∂L/∂v)‖, the number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
+/// AbsGS, the first sum again with absolute values of each pixel's contribution to ∂L/∂u and ∂L/∂v.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Statistics<'a>(pub(super) &'a [[f32; 4]]);
 
@@ -26,8 +26,8 @@ impl Statistics<'_> {
         finite_or_zero(gradient / views.max(1.0))
     }
 
-    /// As [`Self::mean_gradient`] with the absolute values of every pixel's share, which do not cancel where pixels pull in
-    /// opposite directions; 0 unless measured.
+    /// Like [`Self::mean_gradient`], but from the absolute values of each pixel's contribution, which do not cancel
+    /// where pixels pull in opposite directions; 0 unless measured.
     ///
     /// # Panics
     /// If `i` is out of range.
@@ -38,8 +38,8 @@ impl Statistics<'_> {
     }
 }
 
-/// Limits every opacity, of the splats as they are seen, to 0.01 and forgets the Adam moments of all opacities. (Every 3000 iterations of
-/// INRIA's strategy: what is not needed does not come back and is pruned.)
+/// Limits the rendered (smoothed) opacity of every splat to 0.01 and clears the Adam moments of all opacities. INRIA's
+/// strategy does so every 3000 iterations: what is not needed does not become opaque again and is pruned.
 pub(super) fn reset_opacity(splats: &mut Arrangement) {
     for i in 0..splats.len() {
         let most = 0.01 / splats.smoothing_factor(i);

@@ -1,15 +1,16 @@
-//! What is no longer finite, and which parameters it is.
+//! Detection of parameters that are no longer finite.
 
 use super::{Phase, TrainError};
 use crate::render::gpu::{state::SplatState, training::Training};
 
-/// Names the parameter group that holds a NaN or an infinity. Waits.
+/// Error naming the parameter group that holds a NaN or an infinity, if one does. Waits for the GPU.
 pub(super) fn check_finite(training: &Training, phase: Phase, iteration: u32) -> Result<(), TrainError> {
     let (first, second) = training.read_texel_moments()?;
     finite(&training.read_splats()?, [&first, &second], phase, iteration)
 }
 
-/// Names the parameter group that holds a NaN or an infinity: splats, or the maps of which these are the moments.
+/// Error naming the parameter group that holds a NaN or an infinity, if one does: splats, or the maps that these
+/// moments belong to.
 pub(super) fn finite(
     splats: &SplatState,
     moments: [&[f32]; 2],
@@ -17,7 +18,7 @@ pub(super) fn finite(
     iteration: u32,
 ) -> Result<(), TrainError> {
     finite_splats(splats, phase, iteration)?;
-    // The maps themselves are refused when read; their moments follow their gradients.
+    // The maps themselves are checked when they are read; their moments follow their gradients.
     if moments.iter().all(|values| values.iter().all(|v| v.is_finite())) {
         return Ok(());
     }

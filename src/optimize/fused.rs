@@ -10,22 +10,24 @@ use crate::{
     scene::{Camera, Composition, HybridScene},
 };
 
-/// Most voxels along the radius of what is fused (2DGS has 1024).
+/// Largest number of voxels along the radius of the fused region (2DGS has 1024).
 const MAX_RESOLUTION: u32 = 1024;
-/// Least voxels along it.
+/// Least number of voxels along the radius.
 const LEAST_RESOLUTION: u32 = 64;
-/// Pixels to a voxel at the focus. The depth of splats is noise below the size of a splat: smaller voxels hold crumbs,
-/// each a chart of its own, and what they would resolve is found by moving the vertices.
+/// Size of a voxel in pixels at the focus. The depth of splats is noise below the size of a splat: smaller voxels hold
+/// crumbs, each a chart of its own; finer detail is found later by moving the vertices.
 const VOXEL_PIXELS: f64 = 3.0;
-/// Truncation in voxels: noise of depths beyond it tears the surface.
+/// Truncation distance, voxels: noise of depths beyond it tears the surface.
 const TRUNCATION: f64 = 4.0;
-/// Triangles of the least connected piece of the iso-surface: some 10×10 voxels.
+/// Least number of triangles of a connected piece of the iso-surface: some 10×10 voxels.
 const LEAST_FACES: usize = 150;
 
-/// A surface of the splats of a trained scene: their median depths from all cameras of a capture, fused, `triangles` and `planar` as in
-/// [`geometry::surface_from_points`]. Of the photographs only alpha and masks are looked at: pixels that they leave out have no depth.
+/// Extracts a surface from the splats of a trained scene by fusing their median depths from all cameras of a capture;
+/// `triangles` and `planar` as in [`geometry::surface_from_points`]. Of the photographs only alpha and masks are used:
+/// pixels that these leave out have no depth.
 ///
-/// `on_view` hears of every view when it is fused, by its index; from 0 again where they did not fit and voxels had to grow.
+/// `on_view` is called with the index of every view once it is fused; again from 0 where the result was too large and
+/// voxels had to grow.
 ///
 /// # Errors
 /// If a photograph cannot be read, the adapter fails or no surface is found.
@@ -53,10 +55,11 @@ pub fn from_splats(
     })
 }
 
-/// A surface of the points that these views of a capture see; `triangles` and `planar` as in [`geometry::surface_from_points`].
+/// Makes a surface of the points that these views of a capture see; `triangles` and `planar` as in
+/// [`geometry::surface_from_points`].
 ///
 /// # Errors
-/// As there.
+/// As [`geometry::surface_from_points`].
 pub fn from_points(
     capture: &Capture,
     views: &[PointView],
@@ -68,7 +71,8 @@ pub fn from_points(
     Ok((surface, stats, origin))
 }
 
-/// Points that say where a scene is and whether it has bounds: the capture's or, where these are too few, those of the splats.
+/// Points from which the scene's place and boundedness are estimated: the capture's or, if these are too few, the means
+/// of the splats.
 pub(super) fn whereabouts(
     capture: &Capture,
     means: impl FnOnce() -> Result<Vec<Vec3>, TrainError>,
@@ -76,10 +80,11 @@ pub(super) fn whereabouts(
     if capture.points.len() < Contraction::LEAST_POINTS { means() } else { Ok(capture.positions()) }
 }
 
-/// Fuses median depths of the training views, in voxels of some pixels at the focus; in contracted space where `points` ([`whereabouts`]) say
-/// that the scene has no bounds.
+/// Fuses median depths of the training views, in voxels of some pixels at the focus; in contracted space if `points`
+/// ([`whereabouts`]) show the scene to be unbounded.
 ///
-/// `depth_of` yields a camera's depth map `[h·w]`, 0 where there is none; more than once where voxels had to grow.
+/// `depth_of` yields a camera's depth map `[h·w]`, 0 where there is none; called again for a camera if voxels had to
+/// grow.
 pub(super) fn from_depths(
     cameras: &[Camera],
     points: &[Vec3],
@@ -87,7 +92,7 @@ pub(super) fn from_depths(
     planar: bool,
     depth_of: impl FnMut(usize) -> Result<Vec<f32>, TrainError>,
 ) -> Result<(Surface, SurfaceStats), TrainError> {
-    // The radius is twice the distance of the focus, which a pixel there divides by the focal length.
+    // The radius is twice the distance to the focus, and a pixel there is that distance over the focal length.
     let focal = cameras.iter().map(|c| c.intrinsics().fx).fold(0.0, f64::max);
     let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(LEAST_RESOLUTION, MAX_RESOLUTION);
     let contraction = Contraction::if_unbounded(cameras, points)?;

@@ -1,4 +1,4 @@
-//! The splats that an optimisation starts from.
+//! Initial splats of an optimisation.
 
 use glam::{DVec3, Quat, Vec3};
 use rand::{RngExt, SeedableRng, seq::index};
@@ -12,12 +12,12 @@ use crate::{
     stats::median,
 };
 
-/// How opaque and how large the first splats are.
+/// Opacity and relative scale of initial splats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Initial {
     /// Opacity, 0 to 1.
     pub opacity: f32,
-    /// Scale over the distance to the neighbours.
+    /// Scale divided by the distance to the neighbours.
     pub scale: f32,
 }
 
@@ -28,11 +28,11 @@ impl Initial {
     /// For MCMC (3DGS-MCMC's `scene/gaussian_model.py`).
     pub const MCMC: Self = Self { opacity: 0.5, scale: 0.1 };
 
-    /// For MCMC at points, in a run of so many iterations: larger in one of less than 30,000.
+    /// For MCMC with splats at points, in a run of so many iterations: larger in runs shorter than 30,000.
     ///
-    /// Splats grow by half a percent in an iteration at most, in short runs by some percent, so that in a run of 500 the first ones would be
-    /// too small to cover what they stand for until its end. The factor is in inverse proportion to the cube root of the iterations, but at most 1
-    /// (`docs/experiments.md`).
+    /// Splats grow by at most half a percent per iteration, in short runs by some percent, so that in a run of 500 the
+    /// first ones would stay too small until its end. The scale factor is inversely proportional to the cube root of
+    /// the iterations, but at most 1 (`docs/experiments.md`).
     #[must_use]
     pub fn mcmc_in(iterations: u32) -> Self {
         let shorter = 30_000.0 / iterations.clamp(30, 30_000) as f32;
@@ -40,10 +40,11 @@ impl Initial {
     }
 }
 
-/// One round splat per sparse point: scale from the distance to its three nearest neighbours, colour the point's.
+/// Creates one round splat per sparse point: scale from the distance to its three nearest neighbours, colour of the
+/// point.
 ///
-/// Of more than `max_splats` points a random sample is taken, and distances are those within the sample. Points that
-/// do not fit in f32 are left out.
+/// Of more than `max_splats` points a random sample is taken, with distances measured within the sample. Points that do
+/// not fit in f32 are left out.
 ///
 /// # Errors
 /// If `sh_degree` exceeds 3.
@@ -67,13 +68,12 @@ pub fn from_points(
     among_neighbors(means, &colors, sh_degree, initial)
 }
 
-/// `count` grey splats at random places that the cameras look at, for captures without points.
+/// Creates `count` grey splats at random places that the cameras look at, for captures without points.
 ///
-/// All cameras are taken to look at one place: the point nearest to their optical axes in the sense of least squares.
-/// Half of the splats fill a box about it that reaches half-way to the median camera, where the object of an object
-/// capture is; the other half one that reaches to the camera, for what surrounds it. Where there is no such place in
-/// front of most cameras (axes parallel, or pointing outwards) the box has its centre three extents along the mean
-/// direction of view and is as large.
+/// The cameras' common focus is the least-squares nearest point to their optical axes. Half of the splats fill a box
+/// about it that reaches half-way to the median camera, where the object of an object capture is; the other half one
+/// that reaches to the camera, for what surrounds it. Without such a focus in front of most cameras (axes parallel, or
+/// pointing outwards) the box is centred three extents along the mean viewing direction and reaches as far.
 ///
 /// # Errors
 /// If `sh_degree` exceeds 3.
@@ -96,7 +96,7 @@ pub fn from_cameras(
     among_neighbors(means, &vec![[0.5; 3]; count], sh_degree, initial)
 }
 
-/// Round splats as large as they are far from each other.
+/// Round splats scaled by the distance to their neighbours.
 fn among_neighbors(
     means: Vec<Vec3>,
     colors: &[[f32; 3]],
@@ -131,11 +131,11 @@ pub(super) fn round_splats(
     )
 }
 
-/// Distance to the neighbours, within a hundredth and ten times of its median.
+/// Root-mean-square distance to the three nearest neighbours, clamped to between a hundredth and ten times its median.
 ///
-/// From below because points may coincide; INRIA's floor of √1e-7 presumes a scene of a few units. From above because
-/// structure from motion leaves single points far from all others (sky, mismatches): a splat as large as their distance
-/// covers every picture, and density control takes thousands of iterations to be rid of it.
+/// Clamped from below because points may coincide; INRIA's floor of √1e-7 presumes a scene of a few units. Clamped from
+/// above because structure from motion leaves single points far from all others (sky, mismatches): a splat as large as
+/// their distance covers every picture, and density control takes thousands of iterations to remove it.
 fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
     let mut scales: Vec<f32> =
         mean_squared_distance_to_3_neighbors(means).into_iter().map(|d| d.min(f32::MAX).sqrt()).collect();
@@ -146,7 +146,7 @@ fn neighbor_scales(means: &[Vec3]) -> Vec<f32> {
     scales
 }
 
-/// The place that cameras look at and the median distance to it, or what is likely where they look at none together.
+/// Common focus of the cameras and their median distance to it, or an estimate where they have none.
 fn focus(cameras: &[Camera]) -> (DVec3, f64) {
     common_focus(cameras).unwrap_or_else(|| {
         let n = cameras.len().max(1) as f64;
@@ -160,12 +160,12 @@ fn focus(cameras: &[Camera]) -> (DVec3, f64) {
     })
 }
 
-/// The median distance of cameras to the place that they look at; `None` where there is none in front of most.
+/// Median distance of the cameras to their common focus; `None` if it is not in front of most of them.
 pub(super) fn distance_of_focus(cameras: &[Camera]) -> Option<f64> {
     common_focus(cameras).map(|(_, distance)| distance)
 }
 
-/// The place in front of most cameras where their axes meet, and the median distance to it.
+/// Point nearest to the optical axes, if in front of most cameras, and the median distance to it.
 fn common_focus(cameras: &[Camera]) -> Option<(DVec3, f64)> {
     let point = OpticalAxes::of(cameras).meeting_point()?;
     let median = median(cameras.iter().map(|c| c.center().distance(point)).collect())?;

@@ -1,10 +1,10 @@
-//! What a run tells of itself: reports, what it kept of a surface, and how long its steps take.
+//! Records of a run: progress reports, the outcome of surface selection, and timings.
 
 use std::time::Instant;
 
 use super::Phase;
 
-/// A sign of life, every few iterations.
+/// A progress report, made every few iterations.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Progress {
     /// Current phase.
@@ -15,56 +15,57 @@ pub struct Progress {
     pub of: u32,
     /// (1 − w)·L1 + w·(1 − SSIM) of the last view, w the option `ssim_weight`.
     pub loss: f64,
-    /// Splats there are.
+    /// Number of splats.
     pub splats: usize,
     /// Mean PSNR of up to four held-out views, whenever they were just rendered, dB.
     pub psnr: Option<f64>,
-    /// Seconds since the run that reported this began, not counting what had been done before it was resumed.
+    /// Seconds since the reporting run began, excluding the time before it was resumed.
     pub seconds: f64,
 }
 
-/// What became of the triangles of a surface that was made from the capture when held-back training views judged them. The others were kept.
+/// Counts of the triangles of a surface made from the capture, by the verdict of held-back training views. The others
+/// were kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Selection {
-    /// All that were judged.
+    /// All triangles judged.
     pub triangles: usize,
-    /// Seen by none of the views that judge, or by one alone where these see most triangles several times or are not held back, or it is
-    /// of the shell.
+    /// Dropped as unseen by the judging views; seen by a single view counts as unseen where these see most triangles
+    /// several times or are not held back, and for triangles of the shell.
     pub unseen: usize,
-    /// Of which maps explain what is around much worse than splats do.
+    /// Dropped because maps explain their surroundings much worse than splats do.
     pub worse: usize,
-    /// In connected pieces that are too small in the views.
+    /// Dropped as part of connected pieces that are too small in the views.
     pub small: usize,
 }
 
 impl Selection {
-    /// Those that were kept.
+    /// Number of triangles kept.
     #[must_use]
     pub fn kept(&self) -> usize {
-        // Whatever a checkpoint says.
+        // Saturating, since a checkpoint may hold any numbers.
         self.triangles.saturating_sub(self.unseen).saturating_sub(self.worse).saturating_sub(self.small)
     }
 }
 
-/// Kept from the first iteration to the last.
+/// The record of a run, from its first iteration to its last.
 pub(super) struct Log {
     start: Instant,
-    /// Until then time is part of the past.
+    /// Time up to which seconds are already in [`Past`].
     counted: Instant,
-    /// What goes on in a run that is resumed.
+    /// The part that goes on in a resumed run.
     pub(super) past: Past,
-    /// The last iteration.
+    /// Phase and iterations of the last step done.
     pub(super) reached: (Phase, u32),
-    /// Taken again, since lists were too short for them.
+    /// Number of iterations repeated because lists were too short for them.
     pub(super) repeated_iterations: u32,
 }
 
-/// Of all that has been trained, before a stop too.
+/// History and times of the whole training, including before a stop.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Past {
-    /// The reports that are made without a stop.
+    /// The reports that are also made by an uninterrupted run.
     pub(super) history: Vec<Progress>,
-    /// Of all phases and of what is between them.
+    /// Seconds of all phases and of what happens between them.
     seconds: f64,
     joint_seconds: f64,
     joint_iterations: u32,
@@ -82,7 +83,7 @@ impl Log {
         self.start.elapsed().as_secs_f64()
     }
 
-    /// An iteration that began then is done.
+    /// Counts an iteration that began at `begin` as done.
     pub(super) fn count(&mut self, phase: Phase, begin: Instant) {
         let now = Instant::now();
         self.past.seconds += (now - self.counted).as_secs_f64();
@@ -93,7 +94,8 @@ impl Log {
         }
     }
 
-    /// The last `again` iterations, one that began then among them, are to be taken again. Their time counts.
+    /// Takes back the last `again` iterations, including one that began at `begin`, which will be repeated. Their time
+    /// counts.
     pub(super) fn take_back(&mut self, again: u32, phase: Phase, begin: Instant) {
         self.repeated_iterations += again;
         if phase == Phase::Joint {
@@ -102,23 +104,23 @@ impl Log {
         }
     }
 
-    /// Of all phases and of what is between them, until now.
+    /// Seconds of all phases and of what happens between them, until now.
     pub(super) fn training_seconds(&self) -> f64 {
         self.past.seconds + self.counted.elapsed().as_secs_f64()
     }
 
-    /// Of the joint phase; `None` before it.
+    /// Mean seconds per iteration of the joint phase; `None` before it.
     pub(super) fn seconds_per_iteration(&self) -> Option<f64> {
         let Past { joint_seconds, joint_iterations, .. } = self.past;
         (joint_iterations > 0).then(|| joint_seconds / f64::from(joint_iterations))
     }
 }
 
-/// In the order of their numbers in [`Past::to_words`].
+/// Phases in the order of their numbers in [`Past::to_words`].
 const PHASES: [Phase; 3] = [Phase::Surface, Phase::Warmup, Phase::Joint];
 
 impl Past {
-    /// For a checkpoint, bit for bit: some 40 bytes for each report.
+    /// Encodes the history for a checkpoint, bit for bit: some 40 bytes per report.
     pub(super) fn to_words(&self) -> Vec<u32> {
         let mut words = [self.seconds, self.joint_seconds].map(halves).as_flattened().to_vec();
         words.push(self.joint_iterations);
@@ -130,7 +132,7 @@ impl Past {
         words
     }
 
-    /// What [`Self::to_words`] made; `None` of anything else.
+    /// Decodes the words of [`Self::to_words`]; `None` if they are something else.
     pub(super) fn from_words(words: &[u32]) -> Option<Self> {
         let ([t0, t1, j0, j1, joint_iterations], rows) = words.split_first_chunk()?;
         let (rows, []) = rows.as_chunks() else { return None };

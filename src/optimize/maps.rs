@@ -1,4 +1,4 @@
-//! Maps of a mesh before they know anything, and the room that its charts need in them.
+//! Initial maps of a mesh, and the atlas size that its charts need.
 
 use glam::Vec2;
 
@@ -8,7 +8,7 @@ use crate::{
     scene::{Atlas, Mesh, Texture, sh},
 };
 
-/// What `make` makes of charts in an atlas of `size`² texels, or of up to `largest`² where they have no room in fewer.
+/// Result of `make` for an atlas of `size`² texels, or of up to `largest`² if the charts do not fit in fewer.
 pub(super) fn with_room_for_charts<T>(
     mut size: u32,
     largest: u32,
@@ -17,7 +17,7 @@ pub(super) fn with_room_for_charts<T>(
     loop {
         match make(size) {
             Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
-                // By a quarter: of a budget that is small, twice the side may leave nothing for splats.
+                // By a quarter: with a small budget, twice the side may leave nothing for splats.
                 size = size.saturating_add(size / 4).next_multiple_of(32).min(largest);
             }
             made => return made,
@@ -25,7 +25,7 @@ pub(super) fn with_room_for_charts<T>(
     }
 }
 
-/// [`textured`] with the charts that it was unwrapped into.
+/// A mesh with empty maps ([`textured`]) on the charts of `unwrapped`.
 pub(super) fn textured_as(
     unwrapped: UnwrappedMesh,
     options: &TrainOptions,
@@ -76,7 +76,7 @@ impl MapLayout {
     }
 }
 
-/// A mesh with empty maps (zeros, as in HERA): opacity one half, grey.
+/// A mesh with maps of zeros, as in HERA: opacity one half, grey.
 pub(super) fn textured(
     surface: Surface,
     corner_uvs: Vec<[Vec2; 3]>,

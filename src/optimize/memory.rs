@@ -1,4 +1,4 @@
-//! Whether a run fits the adapter's memory, before it begins.
+//! Check, before a run begins, that it fits the adapter's memory.
 
 use super::{Density, MeshSource, TrainError, TrainOptions, maps::MapLayout};
 use crate::{
@@ -10,15 +10,16 @@ use crate::{
     scene::Camera,
 };
 
-/// Most bytes of photographs that stay on the adapter.
+/// Most bytes of photographs to keep on the adapter.
 const MOST_KEPT: u64 = 1 << 30;
 
-/// Error if the run would end for lack of memory once it has `max_splats`, as far as that can be told: lists that views with more pairs than there
-/// is room for at first make longer are not counted. Else the bytes of photographs that may stay on the adapter: those of all cameras, or
-/// [`MOST_KEPT`] of them, where half as much again as the run asks for is free beside them.
+/// Checks that the run will not exhaust memory once it has `max_splats`, as far as that can be predicted: growth of
+/// lists for views with more pairs than their first size holds is not counted. Returns the bytes of photographs that
+/// may stay on the adapter: those of all cameras, or [`MOST_KEPT`] of them, provided that half as much again as the run
+/// asks for is free beside them; else 0.
 ///
 /// # Errors
-/// [`GpuError::NotEnoughMemory`](crate::render::gpu::GpuError) with what takes how much.
+/// [`GpuError::NotEnoughMemory`](crate::render::gpu::GpuError), stating what takes how much.
 pub(super) fn check(
     gpu: &Gpu,
     options: &TrainOptions,
@@ -48,7 +49,7 @@ pub(super) fn check(
     Ok(if gpu.ensure_free("photographs", with_room).is_ok() { photographs } else { 0 })
 }
 
-/// The run when it is largest.
+/// Sizes of the run at its largest.
 fn size(
     options: &TrainOptions,
     cameras: &[Camera],
@@ -80,7 +81,7 @@ fn size(
     }
 }
 
-/// What the memory is for, and how much it is.
+/// Description of what the memory is for, and its bytes.
 fn needed(hybrid: &TrainingSize, texture_size: u32) -> (String, u64) {
     let bytes = training_bytes(hybrid);
     let mib = |bytes: u64| bytes >> 20;
@@ -97,8 +98,8 @@ fn needed(hybrid: &TrainingSize, texture_size: u32) -> (String, u64) {
     (what, bytes.total())
 }
 
-/// Side of the largest maps of no more than so many floats: as wanted, else a multiple of 32, which has mips as far as gutters separate
-/// charts, else the least that there is.
+/// Largest side of maps with no more than this many floats: `wanted`, else a multiple of 32, which gives mip levels as
+/// deep as gutters separate charts, else the least possible, 16.
 pub(super) fn texture_size_within(options: &TrainOptions, wanted: u32, floats: usize) -> u32 {
     let smaller = (1..=wanted / 32).rev().map(|n| 32 * n);
     let mut sizes = std::iter::once(wanted).chain(smaller);

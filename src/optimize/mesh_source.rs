@@ -1,55 +1,55 @@
-//! Where the mesh of a hybrid comes from, and what its surface was made of.
+//! Source of a hybrid's mesh, and what its surface was made of.
 
 use glam::Vec2;
 
 use super::seen_points::are_many;
 use crate::{capture::Capture, geometry::Surface};
 
-/// Where the mesh comes from.
+/// Source of the mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum MeshSource {
     /// No mesh: plain 3DGS.
     None,
-    /// Splats are trained first and their median depths fused.
+    /// Fusion of the median depths of splats, which are trained first.
     #[default]
     Splats,
-    /// Splats are trained first all the same, to judge the surface; it is made of the points that the training views see
-    /// ([`geometry::surface_from_points`](crate::geometry::surface_from_points)), and only if these are too few as for `Splats`.
+    /// Points that the training views see ([`geometry::surface_from_points`](crate::geometry::surface_from_points)), or
+    /// as `Splats` if these are too few. Splats are trained first all the same, to judge the surface.
     Points,
-    /// The user's; unwrapped if it has no texture coordinates.
+    /// The user's mesh; unwrapped if it has no texture coordinates.
     Given {
         /// Geometry in the capture's world frame.
         surface: Surface,
-        /// UV of every corner, v downwards, `[F]`.
+        /// UV of every corner `[F]`, v downwards.
         corner_uvs: Option<Vec<[Vec2; 3]>>,
     },
 }
 
-/// What the surface of a trained mesh was made of.
+/// Data that the surface of a trained mesh was made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SurfaceOrigin {
-    /// It was the user's.
+    /// The user's mesh.
     Given,
-    /// The capture's points, where it says of more than half of the training views which of them they see.
+    /// The capture's points, where it lists the visible points of more than half of the training views.
     Points,
-    /// The capture's points, in half of the training views or more each taken for seen where no other is nearer
-    /// ([`geometry::visible_points`](crate::geometry::visible_points)).
+    /// The capture's points, where for half of the training views or more visibility was guessed: a point counts as
+    /// seen where no other is nearer ([`geometry::visible_points`](crate::geometry::visible_points)).
     GuessedPoints,
-    /// The fused depth of splats.
+    /// Fused depths of splats.
     Splats,
 }
 
 impl MeshSource {
-    /// What `centaur train` takes unless told: `Points` if the capture says of its median view that it sees 100 of them or more, else
-    /// `Splats`.
+    /// Default source of `centaur train`: `Points` if the capture lists 100 visible points or more for its median view,
+    /// else `Splats`.
     #[must_use]
     pub fn suited_to(capture: &Capture) -> Self {
         let seen = capture.views.iter().map(|view| view.sees.len()).collect();
         if are_many(seen) { Self::Points } else { Self::Splats }
     }
 
-    /// Whether splats are trained before there is a mesh, and handed over to it.
+    /// Whether the run makes the surface itself: splats are trained before there is a mesh, and handed over to it.
     pub(super) fn is_found(&self) -> bool {
         matches!(self, Self::Splats | Self::Points)
     }

@@ -1,7 +1,8 @@
-//! From a capture to a scene.
+//! Optimisation: from a capture to a scene.
 //!
-//! [`train`] is all of it, with [`TrainOptions`] and a [`MeshSource`]. [`surface_from_splats`] and [`surface_from_points`] make a surface alone, [`initialize`] the splats that a
-//! run begins with; [`checkpoint`] reads what a run leaves when it stops.
+//! [`train`] does all of it, given [`TrainOptions`] and a [`MeshSource`]. [`surface_from_splats`] and
+//! [`surface_from_points`] only make a surface, [`initialize`] the initial splats of a run; [`checkpoint`] reads the
+//! state that a stopped run leaves.
 
 mod arrangement;
 mod background;
@@ -35,7 +36,7 @@ pub use static_scene::{Checkpoints, Outcome, RefinedPose, Session, Trained, trai
 
 use crate::{capture::CaptureError, geometry::GeometryError, render::gpu::GpuError, scene::SceneError};
 
-/// Why a run failed.
+/// Error of a training run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainError {
@@ -48,19 +49,19 @@ pub enum TrainError {
     /// The adapter failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// A value cannot be part of a scene.
+    /// A resulting value is not valid in a scene.
     #[error("the trained scene is not valid: {0}")]
     Scene(#[from] SceneError),
-    /// An option is outside of what it may be.
+    /// An option is out of range.
     #[error("options: {0}")]
     Options(SceneError),
     /// A checkpoint could not be written or read.
     #[error(transparent)]
     Checkpoint(#[from] checkpoint::CheckpointError),
-    /// A checkpoint does not fit the run.
+    /// A checkpoint belongs to another run.
     #[error("{0}")]
     Resume(String),
-    /// Nothing to train on.
+    /// Fewer than two views to train on.
     #[error("{capture}: expected at least 2 views to train on besides those held out, found {found} in all")]
     TooFewViews {
         /// Name of the capture.
@@ -68,10 +69,10 @@ pub enum TrainError {
         /// Views in the capture.
         found: usize,
     },
-    /// What cannot be done together.
+    /// Poses were to be refined beside a given mesh.
     #[error("poses are refined by splats before there is a mesh: expected none to be given, found one")]
     PosesBesideMesh,
-    /// The mesh that is given lies where no photograph looks.
+    /// No training view sees the given mesh.
     #[error(
         "expected a mesh that training views see, found none of it in any: is it in the frame and the unit of the poses?"
     )]
@@ -84,19 +85,20 @@ pub enum TrainError {
         /// [`TrainOptions::max_floats`].
         found: usize,
     },
-    /// A parameter went to NaN or infinity.
+    /// A parameter became NaN or infinite.
     #[error("iteration {iteration} ({phase:?}): {group} not finite")]
     NotFinite {
         /// Phase of the run.
         phase: Phase,
         /// Iteration in that phase at which it was found.
         iteration: u32,
-        /// Which parameters.
+        /// The parameter group.
         group: String,
     },
 }
 
-/// What was made, or why it cannot be made of this geometry. What the splats have learnt is worth more than a mesh: that does not end a run.
+/// Separates geometric failures, `Ok(Err(_))`, from all others, `Err(_)`: the run keeps what the splats have learnt and
+/// goes on without a mesh.
 fn or_why_not<T>(made: Result<T, TrainError>) -> Result<Result<T, GeometryError>, TrainError> {
     match made {
         Ok(made) => Ok(Ok(made)),

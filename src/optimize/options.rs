@@ -1,33 +1,33 @@
-//! What can be chosen of a training run, with defaults and their sources.
+//! Options of a training run, with defaults and their sources.
 
 use crate::capture::Split;
 use crate::scene::{Composition, OrderMode, SceneError, Splats, sh};
 
-/// What a run is doing.
+/// Phase of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
-    /// Splats alone, to find a surface.
+    /// Splats alone, from which a surface is then made.
     Surface,
-    /// Maps of the mesh alone.
+    /// Warm-up of the mesh's maps alone.
     Warmup,
-    /// Splats and maps.
+    /// Splats and maps together.
     Joint,
 }
 
-/// How the number of splats changes.
+/// Density control: how the number of splats changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Density {
     /// Clone, split and prune on the screen-space gradient, with opacity resets (3DGS).
     Inria,
-    /// The same, but that splats are split where absolute gradients are large (AbsGS).
+    /// As `Inria`, but splats are split where absolute gradients are large (AbsGS).
     Absgs,
     /// Relocation and growth up to the cap, with noise on the means (3DGS-MCMC). The budget is exact.
     Mcmc,
 }
 
-/// What lies behind the scene while training.
+/// Background colour while training.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Background {
@@ -35,107 +35,117 @@ pub enum Background {
     Black,
     /// RGB 1.
     White,
-    /// Another colour every iteration, which forbids holes; pictures are rendered over black.
+    /// Another colour every iteration, which penalises holes; evaluation renders over black.
     Random,
 }
 
-/// Numbers of a training run. `Default` is documented per field.
+/// Options of a training run. The default is given with each field.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct TrainOptions {
-    /// Which views are trained on, and which are held out for scores: every eighth is (3DGS).
+    /// Split into views to train on and views held out for scores: every eighth is held out (3DGS).
     pub split: Split,
-    /// Iterations of the splats: 30,000 (3DGS), the surface's included. The times of schedules shrink with it below
-    /// 30,000; above, rates that fall over the run stretch, and the time before a surface with what follows it.
+    /// Iterations of the splats, including the surface phase: 30,000 (3DGS). In shorter runs the times of schedules
+    /// shrink in proportion; in longer ones only rates that fall over the run stretch, and the time before a surface
+    /// with what follows it.
     pub iterations: u32,
-    /// Iterations on the maps alone before: 9,000 (HERA), see [`Self::warmup_of`] for shorter runs. Unused without a mesh.
+    /// Iterations of warm-up on the maps alone before the joint phase: 9,000 (HERA), see [`Self::warmup_of`] for
+    /// shorter runs. Unused without a mesh.
     pub warmup: u32,
-    /// Of `iterations`, those on splats alone before there is a surface, which they judge: with MCMC a seventh, at least 400, at most half;
-    /// half where poses are refined, as they are in it alone, and with INRIA's and AbsGS' density control, which then goes on for half
-    /// of the rest. Unused with a given mesh or without one. If not fewer than `iterations`, splats and maps are never trained together.
+    /// Iterations, out of `iterations`, on splats alone before a surface is made, which these then judge: with MCMC a
+    /// seventh, at least 400, at most half; half where poses are refined, which happens only in this phase, and with
+    /// INRIA's and AbsGS' density control, which then goes on for half of the rest. Unused with a given mesh or without
+    /// one. If not fewer than `iterations`, splats and maps are never trained together.
     pub surface_iterations: Option<u32>,
-    /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral over the
-    /// picture however small they get, so that the scene can be seen from other distances: off (3DGS).
+    /// The filters of Mip-Splatting: splats are smoothed as far as no training view can tell, and keep their integral
+    /// over the picture however small they get, so that the scene can be viewed from other distances: off (3DGS).
     pub antialias: bool,
-    /// Training begins with pictures of a quarter of the size, which grow to the full one over the first half of the run, or three
-    /// quarters of what comes before a surface is made of splats, and with the
-    /// number of splats that they are worth: off (3DGS).
+    /// Coarse-to-fine training: pictures begin at a quarter of their size and grow to the full one over the first half
+    /// of the run, or over three quarters of the phase before a surface is made of splats; the number of splats grows
+    /// with them: off (3DGS).
     pub coarse_to_fine: bool,
-    /// An affine exposure per training photograph, fitted along: off (3DGS). What all photographs have in common stays in the scene,
-    /// as which held-out views are rendered.
+    /// An affine exposure per training photograph, optimised along: off (3DGS). What all photographs have in common
+    /// stays in the scene; held-out views are rendered without exposure.
     pub exposure: bool,
-    /// A small rotation and shift of each training camera, learnt along as long as splats are trained without a mesh and then kept; not
-    /// with a given mesh: off. Held-out views keep their poses, and what all corrections have in common is taken out.
+    /// A small rotation and shift of each training camera, learnt while splats are trained without a mesh and then
+    /// fixed; not available with a given mesh: off. Held-out views keep their poses, and the similarity that all
+    /// corrections have in common is removed.
     pub refine_poses: bool,
-    /// How far the steps of such a pose lead, about: degrees of rotation about each axis, and as an angle at the distance of the extent, shift
-    /// along each: 0.6.
+    /// Approximate reach of all pose steps together, degrees: of rotation about each axis, and of shift along each axis
+    /// as an angle at the distance of the extent: 0.6.
     pub pose_reach: f64,
-    /// Part of the splats that a step leaves out at random by the end of the run, from none at its beginning, the others being that much
-    /// more opaque (`DropGaussian`, Park et al. 2025): by how many views there are, see [`Self::dropout_of`].
+    /// Part of the splats that an iteration drops at random by the end of the run, growing from none at its beginning,
+    /// the others being made that much more opaque (`DropGaussian`, Park et al. 2025). If not set, by the number of
+    /// views, see [`Self::dropout_of`].
     pub dropout: Option<f32>,
-    /// Weight in the loss of the mean of expected disparity, Σw/z of splats, over pixels, as far as these are as their photograph has them,
-    /// with the median depth of what views see as unit: 0 (3DGS). What photographs leave open stays away from cameras by it: dark splats
-    /// before a dark room cost nothing where training views see them, and are fog before what another view shows (docs/experiments.md). What
-    /// masks leave out counts in full.
+    /// Weight in the loss of the mean expected disparity of splats, Σw/z, over pixels, each weighted by how well it
+    /// matches its photograph, with the median depth of what views see as unit: 0 (3DGS). It keeps content that
+    /// photographs leave undetermined away from cameras: dark splats before a dark room cost nothing where training
+    /// views see them, and are fog in front of what another view shows (docs/experiments.md). Masked-out pixels count
+    /// in full.
     pub disparity_weight: f32,
     /// Degree of the splats' spherical harmonics: 3 (3DGS).
     pub sh_degree: u32,
     /// Weight of D-SSIM in the loss: 0.2 (3DGS).
     pub ssim_weight: f32,
-    /// Density control: MCMC, which comes to the number of splats that is asked for. The paper builds on INRIA's; at equal floats both are level
-    /// on the demo (`docs/results.md`).
+    /// Density control: MCMC, which reaches the requested number of splats. The paper builds on INRIA's; at equal
+    /// floats both are level on the demo (`docs/results.md`).
     pub density: Density,
-    /// No more splats than this, which MCMC comes to by its last density step; if not set, no more than [`Self::MOST_SPLATS`], for which
-    /// it does not hurry.
+    /// Upper bound on splats, which MCMC reaches by its last density step. If not set, [`Self::MOST_SPLATS`], for which
+    /// MCMC does not speed up.
     pub max_splats: Option<usize>,
-    /// No more floats than this in splats, maps and vertices together; limits the splats, which MCMC brings up to it, and to half of it, as
-    /// far as charts have room, maps that are not laid out anew. For comparisons.
+    /// Upper bound on trained floats (splats, maps, vertices), for comparisons. MCMC fills it; maps that are never
+    /// re-packed may use at most half, space for charts permitting.
     pub max_floats: Option<usize>,
-    /// Only splats seen by an iteration's view are updated: off (3DGS updates all).
+    /// Update only the splats seen by an iteration's view: off (3DGS updates all).
     pub visible_only: bool,
-    /// Every texel is updated in every iteration, as the paper's Adam does: off. A texel that one view in many sees would
+    /// Update every texel in every iteration, as the paper's Adam does: off. A texel that one view in many sees would
     /// be moved by up to 31 times the rate by what remains of its moments.
     pub dense_texels: bool,
     /// Seed of everything random: 0.
     pub seed: u64,
-    /// Background: black (INRIA 3DGS).
+    /// Background while training: black (INRIA 3DGS).
     pub background: Background,
     /// Mesh layers per pixel, 1, 2 or 4: 2 (HERA does not say how many).
     pub layers: u32,
-    /// Depth order of splats against layers: surface-consistent, which scores best on static captures (`docs/results.md`); HERA's is stable.
+    /// Order of splats relative to layers: surface-consistent, which scores best on static captures
+    /// (`docs/results.md`); HERA's is stable.
     pub mode: OrderMode,
     /// λ as a fraction of the capture's extent: 0.01 (HERA has 5 cm, but captures have no metric scale).
     #[serde(deserialize_with = "infinite_if_null")]
     pub lambda: f32,
-    /// Side of the DC + opacity atlas, texels; that of the higher bands is a quarter. By default the power of two from
-    /// one and a half times the longer side of the images on, within 128 to 2048: all views together see more than one. A surface
-    /// made from the capture has it in the warm-up and is then laid out anew, about two texels per pixel and no larger; of a budget of floats it gets
-    /// three quarters of what it covers of the pictures, some three tenths at most.
+    /// Side of the DC + opacity atlas, texels; the atlas of higher bands has a quarter. By default the least power of
+    /// two from one and a half times the longer side of the images, clamped to 128 to 2048: all views together see more
+    /// than one. The warm-up of a surface made from the capture uses this size; the surface is then packed again, at
+    /// about two texels per pixel and no larger. Of a budget of floats it gets three quarters of the fraction of the
+    /// pictures that it covers, at most some three tenths.
     pub texture_size: Option<u32>,
     /// SH degree of the mesh: 2 (HERA does not say).
     pub band_degree: u32,
-    /// Triangles that a mesh made from the capture is simplified to: 20,000; more are left where its topology needs them, and those of the
-    /// shell come on top.
+    /// Target number of triangles when simplifying a mesh made from the capture: 20,000; more remain where its topology
+    /// needs them, and those of the shell come on top.
     pub triangles: usize,
-    /// Flat regions of such a mesh are made flat and meshed anew with few triangles. On, see docs/experiments.md.
+    /// Flatten the planar regions of such a mesh and retriangulate them with few triangles: on, see
+    /// docs/experiments.md.
     pub planar: bool,
-    /// Around a surface made from the capture, what views see past it is put on a sphere so far away that they all see it alike: sky and
-    /// far background. Its triangles are judged as all others, by two views at least, and it has no vertex that `triangles` counts. Not
-    /// where photographs have alpha or masks, nor without a warm-up to judge it by. On, see docs/experiments.md.
+    /// Shell: what views see past a surface made from the capture is put on a sphere around it, so far away that there
+    /// is no parallax between views: sky and far background. Its triangles are judged like all others, by at least two
+    /// views, and do not count towards `triangles`. Not made where photographs have alpha or masks, nor without a
+    /// warm-up to judge it by: on, see docs/experiments.md.
     pub shell: bool,
-    /// Iterations between checkpoints, of which there is one at the end of each phase besides; 0 for none but that of a run that is stopped: 2,000.
+    /// Iterations between checkpoints, besides one at the end of each phase; 0 for only that of a stopped run: 2,000.
     pub checkpoint_every: u32,
-    /// Iterations between looks at held-out views, 0 for none but at the end of each phase: 500.
+    /// Iterations between evaluations of held-out views; 0 for only at the end of each phase: 500.
     pub eval_every: u32,
 }
 
 impl TrainOptions {
-    /// Most splats of a run for which no number is asked.
+    /// Most splats of a run if neither limit is given.
     pub const MOST_SPLATS: usize = 1_000_000;
     /// Largest [`Self::dropout`].
     pub const MOST_DROPOUT: f32 = 0.9;
-    /// Texels that an atlas has along a side at most: of 8192, Adam's moments are 2³¹ bytes, which no adapter binds, and of this one there are
-    /// five levels, of bands of a quarter of the side, too.
+    /// Largest side of an atlas, texels: at 8192 Adam's moments are 2³¹ bytes, which no adapter binds; 8128 still has
+    /// five mip levels, also of bands at a quarter of the side.
     pub const LARGEST_TEXTURE: u32 = 8128;
 
     /// # Errors
@@ -177,37 +187,39 @@ impl TrainOptions {
         Ok(())
     }
 
-    /// The part that `dropout` is where nobody says, for so many training views: a fifth (`DropGaussian`) for few, with which splats
-    /// learn by heart what each sees, and less for more, of which it would only take its share.
+    /// Default of [`Self::dropout`] for this many training views: a fifth (`DropGaussian`) for few views, which splats
+    /// would otherwise memorise, falling to none for many, which do not profit from it.
     #[must_use]
     pub fn dropout_of(views: usize) -> f32 {
         let (few, many) = (12.0, 20.0);
         0.2 * ((many - views as f32) / (many - few)).clamp(0.0, 1.0)
     }
 
-    /// Whether somebody has said how large the scene is to become.
+    /// Whether the options state a size for the scene.
     #[must_use]
     pub fn asks_for_size(&self) -> bool {
         self.max_splats.is_some() || self.max_floats.is_some()
     }
 
-    /// Iterations on the maps alone that go with so many of the splats: HERA's 9,000 with 30,000 or more, and as large a part of fewer.
+    /// Iterations of warm-up on the maps alone for this many iterations of the splats: HERA's 9,000 for 30,000 or more,
+    /// in proportion for fewer.
     #[must_use]
     pub fn warmup_of(iterations: u32) -> u32 {
         (u64::from(iterations) * 9_000 / 30_000).min(9_000) as u32
     }
 
-    /// Iterations on splats alone before a surface is made, if the run makes one.
+    /// Iterations on splats alone before a surface is made, in runs that make one.
     #[must_use]
     pub fn surface_phase_iterations(&self) -> u32 {
-        // Half of a long run leaves splats too little time beside the mesh, and less than 400 iterations no judge (`docs/experiments.md`).
+        // Half of a long run leaves splats too little time beside the mesh; after less than 400 iterations they are no
+        // judge (`docs/experiments.md`).
         let half = self.iterations / 2;
         let is_short = self.density == Density::Mcmc && !self.refine_poses;
         let usual = if is_short { (self.iterations / 7).max(400).min(half) } else { half };
         self.surface_iterations.unwrap_or(usual).min(self.iterations)
     }
 
-    /// Iterations of a phase, of a run that makes its surface itself or does not.
+    /// Iterations of a phase, in a run that makes its surface itself (`finds_surface`) or does not.
     pub(super) fn iterations_of(&self, phase: Phase, finds_surface: bool) -> u32 {
         match phase {
             Phase::Surface => self.surface_phase_iterations(),
@@ -218,7 +230,7 @@ impl TrainOptions {
     }
 }
 
-/// JSON has no infinity, and `serde_json` writes null for it.
+/// Reads null as infinity, as JSON has no infinity and `serde_json` writes null for it.
 fn infinite_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
     Ok(<Option<f32> as serde::Deserialize>::deserialize(deserializer)?.unwrap_or(f32::INFINITY))
 }

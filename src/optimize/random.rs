@@ -1,23 +1,23 @@
-//! Random numbers of a run: a generator for each thing that is drawn, by the seed and the iteration, so that a resumed run draws as one that
-//! was not stopped.
+//! Random numbers of a run: a generator for each purpose, seeded by the seed and the iteration, so that a resumed run
+//! draws the same numbers as an uninterrupted one.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::Phase;
 
-/// What numbers are drawn for. No two of these share a stream.
+/// Purpose of random numbers. No two share a stream.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Purpose {
     /// The density step after an iteration of the splats.
     Density,
-    /// What is random of an iteration: background, noise, dropout.
+    /// Random choices within an iteration: background, noise, dropout.
     Step(Phase),
     /// The order of the views in an epoch.
     ViewOrder(Phase),
 }
 
-/// For an iteration or epoch `at` of the splats, whichever phase that is in, or of the warm-up.
+/// Generator for iteration or epoch `at` of the splats, whichever phase that is in, or of the warm-up.
 pub(super) fn generator(seed: u64, purpose: Purpose, at: u32) -> Pcg64 {
     let clock = |phase| match phase {
         Phase::Warmup => 1,
@@ -28,7 +28,8 @@ pub(super) fn generator(seed: u64, purpose: Purpose, at: u32) -> Pcg64 {
         Purpose::Step(phase) => (seed, clock(phase)),
         Purpose::ViewOrder(phase) => (seed ^ 0x5eed, clock(phase)),
     };
-    // The multiplier (2⁶⁴ over the golden ratio) keeps neighbouring seeds from sharing the numbers of neighbouring iterations.
+    // The multiplier (2⁶⁴ over the golden ratio) keeps neighbouring seeds from sharing streams with neighbouring
+    // iterations.
     Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (u64::from(at) << 2 | tag))
 }
 

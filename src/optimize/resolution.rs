@@ -1,25 +1,26 @@
-//! Small pictures first: splats find their places on few pixels, and the detail comes when there are splats for it.
+//! Coarse-to-fine training: splats find their places on few pixels, and detail follows once there are splats for it.
 //!
-//! The idea is that of DashGaussian (Chen et al. 2025): pictures grow at the rate at which they gain content, which they measure by the
-//! amplitudes of their Fourier transforms. Those of photographs fall like one over the frequency, and their sum over a square of
-//! frequencies then grows like its side: the side of the pictures grows linearly. The number of splats follows the pictures.
+//! After DashGaussian (Chen et al. 2025): pictures grow at the rate at which they gain content, measured there by the
+//! amplitudes of their Fourier transforms. Amplitudes of photographs fall like one over the frequency, and their sum
+//! over a square of frequencies then grows like its side: so here the side of the pictures grows linearly. The number
+//! of splats follows the pictures.
 
-/// Part of the side that training begins with: a quarter of the content is there.
+/// Relative side of the first pictures: a quarter of the content is there.
 const FIRST: f64 = 0.25;
-/// Sizes there are. All but the full one are looked at for equally many iterations, each in pictures decoded anew.
+/// Number of sizes. All but the full one are used for equally many iterations, each in pictures decoded anew.
 const SIZES: u32 = 7;
-/// No picture is made smaller than this many pixels along its longer side.
+/// Least number of pixels along the longer side of a reduced picture.
 const LEAST_SIDE: f64 = 32.0;
 
-/// How large pictures are in the course of a run.
+/// Size of pictures in the course of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ResolutionSchedule {
-    /// Pictures have their full size from this iteration on; 0 for always.
+    /// Iteration from which pictures have their full size; 0 for always.
     pub(super) full_from: u32,
 }
 
 impl ResolutionSchedule {
-    /// Side of the pictures at iteration `t`, as a part of what it is in the end, if the longest of them has `side` pixels.
+    /// Relative side of the pictures at iteration `t`, if the longest of them has `side` pixels in full size.
     #[must_use]
     pub(super) fn scale(&self, t: u32, side: u32) -> f64 {
         let first = FIRST.max((LEAST_SIDE / f64::from(side.max(1))).min(1.0));
@@ -30,8 +31,8 @@ impl ResolutionSchedule {
         first + (1.0 - first) * step as f64 / f64::from(SIZES - 1)
     }
 
-    /// Most splats at iteration `t` of a run that began with `initial` and ends with at most `most`: what is added is in proportion
-    /// to the pixels at first, to their side in the end.
+    /// Most splats at iteration `t` of a run that began with `initial` and ends with at most `most`: the number added
+    /// is proportional to the pixels at first, to their side in the end.
     #[must_use]
     pub(super) fn max_splats(&self, t: u32, side: u32, initial: usize, most: usize) -> usize {
         if t >= self.full_from {

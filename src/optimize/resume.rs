@@ -1,4 +1,4 @@
-//! What a checkpoint of a static scene holds, and how a run goes on from it.
+//! Content of a static scene's checkpoint, and how a run resumes from it.
 
 mod input;
 mod parts;
@@ -26,7 +26,7 @@ use crate::{
     scene::{HybridScene, Mesh},
 };
 
-/// The state of a run between two iterations.
+/// State of a run between two iterations.
 pub(super) struct Saved {
     pub(super) phase: Phase,
     /// Iterations done in this phase.
@@ -38,26 +38,26 @@ pub(super) struct Saved {
     texel_moments: (Vec<f32>, Vec<f32>),
     pub(super) vertices: VertexState,
     exposures: Option<ExposureState>,
-    /// Being refined, or as they were.
+    /// Poses while they are refined, or as fixed.
     pub(super) poses: Option<PoseState>,
     epoch: EpochWeight,
-    /// Lengths of the GPU's lists: steps whose lists are too short change nothing and are taken again.
+    /// Lengths of the GPU's lists, restored so that no step has to be repeated for lists that are too short.
     lists: [usize; 2],
     pub(super) past: Past,
 }
 
-/// What is known of how the mesh came to be.
+/// Record of how the mesh came to be.
 #[derive(Clone, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct SurfaceRecord {
-    /// What it was made of.
+    /// Data that the surface was made of.
     pub(super) surface: Option<SurfaceOrigin>,
-    /// Why there is none, where making one failed.
+    /// Reason why there is no surface, where making one failed.
     pub(super) no_surface: Option<String>,
-    /// What became of its triangles, once it is known.
+    /// Verdict on its triangles, once they have been judged.
     pub(super) selection: Option<Selection>,
 }
 
-/// What must be the same in a run that goes on from a checkpoint.
+/// Everything that must be equal between a checkpoint and the run that resumes from it.
 pub(super) struct Identity<'a> {
     pub(super) options: &'a TrainOptions,
     /// Views, points and source of the mesh.
@@ -67,8 +67,8 @@ pub(super) struct Identity<'a> {
 }
 
 impl Saved {
-    /// Reads back everything from the GPU; `poses` are those that are no longer there. Names the parameter group that holds a NaN or an
-    /// infinity, if one does.
+    /// Reads back the whole state from the GPU; `poses` are used if they are no longer there. If a parameter group
+    /// holds a NaN or an infinity, the error names it.
     pub(super) fn capture(
         training: &Training,
         scene: &HybridScene,
@@ -79,9 +79,9 @@ impl Saved {
         past: Past,
     ) -> Result<Self, TrainError> {
         let (splats, texel_moments) = (training.read_splats()?, training.read_texel_moments()?);
-        // Before meshes refuse them, which do not know the iteration.
+        // Checked before meshes reject them, which do not know the iteration.
         finite(&splats, [&texel_moments.0, &texel_moments.1], phase, iteration)?;
-        // Exposures and poses, whose own numbers nobody looks at: reports come at other iterations.
+        // Includes exposures and poses, whose numbers are not checked otherwise: reports come at other iterations.
         if let Some(group) = training.status()?.not_finite {
             return Err(TrainError::NotFinite { phase, iteration, group: group.to_owned() });
         }
@@ -102,7 +102,7 @@ impl Saved {
         })
     }
 
-    /// Puts splats, statistics and moments onto the GPU; the maps are already there, from `meshes`.
+    /// Uploads splats, statistics and moments to the GPU; the maps are already there, from `meshes`.
     pub(super) fn restore(self, training: &mut Training) -> Result<EpochWeight, TrainError> {
         training.write_splats(&self.splats)?;
         training.lengthen_lists(training.bindable(self.lists))?;
@@ -122,8 +122,7 @@ impl Saved {
         Ok(self.put(run).write(path)?)
     }
 
-    /// Reads a checkpoint that was written on the same input with the same options, but for how often to report and
-    /// save.
+    /// Reads a checkpoint that was written for the same input and options, except for how often to report and save.
     pub(super) fn read(path: &Path, run: &Identity) -> Result<Self, TrainError> {
         let file = Checkpoint::read(path)?;
         let saved = run.check(&file).and_then(|()| Self::take(file, run));
@@ -157,7 +156,7 @@ impl Saved {
         file
     }
 
-    /// What [`Self::put`] put in, with what `run` has.
+    /// Inverse of [`Self::put`], for the options and views of `run`.
     fn take(mut file: Checkpoint, run: &Identity) -> Taken<Self> {
         let (file, views) = (&mut file, run.input.views.len());
         Ok(Self {
@@ -177,7 +176,7 @@ impl Saved {
         })
     }
 
-    /// Whether all of it is of one state of this run.
+    /// Checks that all parts belong to one state of this run.
     fn fits(&self, run: &Identity) -> Taken<()> {
         let iterations = run.options.iterations_of(self.phase, run.finds_surface);
         if self.iteration > iterations {
@@ -209,7 +208,7 @@ impl Saved {
 }
 
 impl Identity<'_> {
-    /// Whether a checkpoint is of such a run.
+    /// Checks that a checkpoint was written by such a run.
     fn check(&self, file: &Checkpoint) -> Taken<()> {
         let input: Input = field(file, "input")?;
         // The mesh first, since it decides whether there is a warm-up, and how long.

@@ -1,53 +1,57 @@
-//! Learning rates and the times at which something happens, after INRIA 3DGS, 3DGS-MCMC and HERA.
+//! Schedules: learning rates and times of interventions, after INRIA 3DGS, 3DGS-MCMC and HERA.
 
 use crate::{
     render::gpu::{adam::SplatRates, vertices::VertexStep},
     scene::sh,
 };
 
-/// The length of run that INRIA's constants are for.
+/// Length of run that INRIA's constants are made for.
 const FULL: u32 = 30_000;
-/// Iterations of warm-up in the HERA paper, and the learning rate of texels.
+/// Warm-up iterations of the HERA paper, and its learning rate of texels.
 const PAPER_WARM_UP: u32 = 9_000;
 const PAPER_TEXEL_RATE: f64 = 5e-4;
-/// Iterations for which the opacity map is held after an opacity reset: with the splats in front of it gone the mesh
+/// Iterations for which the opacity map is frozen after an opacity reset: with the splats in front of it gone the mesh
 /// might otherwise turn opaque to make up for them.
 const FREEZE: u32 = 200;
-/// Runs are taken for so much shorter than a full one, at most, where learning rates follow their length: as one of 750 iterations.
+/// Largest factor by which a run counts as shorter than a full one when learning rates are adapted: that of 750
+/// iterations.
 const MOST_SHORTENED: f64 = 40.0;
-/// Part of a run after which rates of a short one fall, and to which part of themselves.
+/// Fraction of a short run after which its rates fall, and the factor to which they fall.
 const SETTLES_FROM: f64 = 0.75;
 const SETTLED: f64 = 0.1;
 
-/// When what happens to the splats, and how far they move. `t` is the number of their iterations that are done: those of the surface phase,
-/// from which the joint phase goes on. The warm-up of the mesh between them does not count, and has a schedule of its own.
+/// Schedule of the splats: when interventions happen, and learning rates. `t` counts their iterations done: those of
+/// the surface phase, continued by the joint phase. The warm-up of the mesh in between does not count, and has a
+/// schedule of its own.
 ///
-/// At 30 000 iterations and above, everything has INRIA's constants, except that the position rate falls over the whole
+/// For 30 000 iterations and more, everything has INRIA's constants, except that the position rate falls over the whole
 /// run. Shorter runs are compressed: every time below is multiplied by iterations/30 000, down to a floor that leaves
 /// Adam enough steps between two interventions, and learning rates by [`Schedule::haste`] and [`Schedule::settling`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Schedule {
     /// Length of the run.
     pub(super) iterations: u32,
-    /// Density control happens after this iteration: 500, but not before it has one interval of statistics.
+    /// Iteration after which density control begins: 500, but not before one interval of statistics.
     pub(super) densify_from: u32,
-    /// Density control happens before this iteration: 15 000 (INRIA), 25 000 (MCMC).
+    /// Iteration before which density control ends: 15 000 (INRIA), 25 000 (MCMC).
     pub(super) densify_until: u32,
     /// Iterations between density steps: 100, in runs below 3000 proportionally less but at least 20.
     pub(super) densify_interval: u32,
     /// Iterations between opacity resets: 3000, at least 1000. None in runs below 3000, which end before the splats
     /// are opaque again, and with MCMC.
     pub(super) opacity_reset_interval: Option<u32>,
-    /// Opacities are reset after this iteration: 0, or that after which splats were handed over.
+    /// Iteration after which opacities are reset: 0, or that of the handover.
     pub(super) opacity_reset_from: u32,
-    /// Opacities are reset before this iteration: any, or while a surface that is made of the splats can wait for them to be opaque again.
+    /// Iteration before which opacities are reset: any, or early enough for splats to be opaque again when a surface is
+    /// made of them.
     pub(super) opacity_reset_until: u32,
-    /// Splats are pruned for their size after this iteration, that of the first opacity reset, if at all: before it a large one may be the best
-    /// explanation of a background.
+    /// Iteration after which splats are pruned for their size, if at all: that of the first opacity reset, before which
+    /// a large one may be the best explanation of a background.
     pub(super) prune_large_from: Option<u32>,
-    /// Iterations between two SH degrees: 1000, at least 100.
+    /// Iterations between increases of the SH degree: 1000, at least 100.
     pub(super) sh_interval: u32,
-    /// One opacity reset more, at `densify_from`: what is white over a white background would stay for ever.
+    /// Whether there is one more opacity reset, at `densify_from`: white splats over a white background would otherwise
+    /// stay for ever.
     pub(super) white_background: bool,
 }
 
@@ -75,7 +79,7 @@ impl Schedule {
         }
     }
 
-    /// The same for MCMC: density steps go on for 5/6 of the run, opacities are never reset.
+    /// The same schedule for MCMC: density steps go on for 5/6 of the run, opacities are never reset.
     #[must_use]
     pub(super) fn for_mcmc(self) -> Self {
         let until = u64::from(self.densify_until) * 25 / 15;
@@ -83,13 +87,14 @@ impl Schedule {
         Self { densify_until, opacity_reset_interval: None, prune_large_from: None, ..self }
     }
 
-    /// The same with INRIA's additional reset for white backgrounds (none where there are no resets).
+    /// The same schedule with INRIA's additional reset for white backgrounds (none where there are no resets).
     #[must_use]
     pub(super) fn with_white_background(self) -> Self {
         Self { white_background: true, ..self }
     }
 
-    /// The same where a surface is made after iteration `at`, which splats judge: opacities are reset half an interval before it, or earlier.
+    /// The same schedule where a surface is made after iteration `at`, judged by the splats: no opacity reset in the
+    /// half interval before it.
     #[must_use]
     pub(super) fn before_surface(self, at: u32) -> Self {
         let recovery = self.opacity_reset_interval.unwrap_or(0) / 2;
@@ -101,7 +106,7 @@ impl Schedule {
         }
     }
 
-    /// The same where [`Self::before_surface`] has left resets out until iteration `at`.
+    /// The same schedule where [`Self::before_surface`] has left out resets until iteration `at`.
     #[must_use]
     pub(super) fn after_surface(self, at: u32) -> Self {
         let first = |interval: u32| {
@@ -111,9 +116,9 @@ impl Schedule {
         Self { prune_large_from: self.opacity_reset_interval.map(first), ..self }
     }
 
-    /// The same where splats are handed over to a mesh after iteration `at`: density control, which may have ended with the splats' own
-    /// run, goes on for the first half of what is left, as soon as there are statistics of splats beside the mesh. Nothing
-    /// changes where it goes on longer.
+    /// The same schedule where splats are handed over to a mesh after iteration `at`: density control, which may have
+    /// ended in the splats' own run, goes on for the first half of what is left, as soon as there are statistics of
+    /// splats beside the mesh. Unchanged where density control goes on longer.
     #[must_use]
     pub(super) fn handed_over(self, at: u32) -> Self {
         let half = at.saturating_add(self.iterations.saturating_sub(at) / 2);
@@ -122,7 +127,7 @@ impl Schedule {
             densify_from: if again { at.saturating_add(self.densify_from) } else { self.densify_from },
             densify_until: half.max(self.densify_until),
             opacity_reset_from: at,
-            // It was for the beginning.
+            // The additional reset was for the beginning.
             white_background: false,
             ..self.after_surface(at)
         }
@@ -134,7 +139,8 @@ impl Schedule {
         (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
     }
 
-    /// Part of the splats that an iteration after `t` others leaves out: as much of `most` as of the run is over (`DropGaussian`).
+    /// Part of the splats that the iteration after `t` others drops: `most` times the fraction of the run that is over
+    /// (`DropGaussian`).
     #[must_use]
     pub(super) fn dropout(&self, t: u32, most: f32) -> f32 {
         most * (t as f32 / self.iterations.max(1) as f32).min(1.0)
@@ -146,10 +152,10 @@ impl Schedule {
         t > self.densify_from && t < self.densify_until && t.is_multiple_of(self.densify_interval)
     }
 
-    /// Density steps after `t` iterations and later.
+    /// Number of density steps after `t` iterations and later.
     #[must_use]
     pub(super) fn density_steps_from(&self, t: u32) -> u32 {
-        // The last one is before `densify_until`, the first after `densify_from`.
+        // Counts multiples of the interval: the last is before `densify_until`, the first after `densify_from`.
         let steps_before = |t: u32| t.saturating_sub(1) / self.densify_interval.max(1);
         let begin = t.max(self.densify_from.saturating_add(1));
         steps_before(self.densify_until).saturating_sub(steps_before(begin))
@@ -171,18 +177,19 @@ impl Schedule {
         })
     }
 
-    /// True if the mesh's opacity map is held in the `t`-th iteration, the first being 1: in the 200 after each reset.
+    /// True if the mesh's opacity map is frozen in the `t`-th iteration, the first being 1: in the 200 after each
+    /// reset.
     #[must_use]
     pub(super) fn freezes_mesh_opacity(&self, t: u32) -> bool {
         (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
     }
 
-    /// How much larger learning rates are after `t` iterations than in a run of 30 000: where that is r times as long, r^¾ falling to r^¼, its
-    /// logarithm linear in t.
+    /// Factor on learning rates after `t` iterations of a short run: in one r times as short as 30 000, r^¾ falling to
+    /// r^¼, its logarithm linear in t; at most that of 750 iterations.
     ///
-    /// A step of Adam is about as long as its rate, whatever the gradient. INRIA's rates let a mean come by 1/36 of the extent in all
-    /// 800 iterations of a run: fewer steps have to be longer. By r itself, splats would leave what they show in single steps; at the end
-    /// these are noise (`docs/experiments.md`).
+    /// A step of Adam is about as long as its rate, whatever the gradient. INRIA's rates move a mean by 1/36 of the
+    /// extent in all 800 iterations of a run: fewer steps have to be longer. With a factor of r itself, splats would
+    /// leave what they show in single steps; at the end such steps are noise (`docs/experiments.md`).
     #[must_use]
     pub(super) fn haste(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));
@@ -190,9 +197,10 @@ impl Schedule {
         (f64::from(FULL) / n).clamp(1.0, MOST_SHORTENED).powf(0.75 - 0.5 * at) as f32
     }
 
-    /// How much smaller learning rates are after `t` iterations of a short run: 1 in its first three quarters, then falling to a tenth, or
-    /// to 1/r of one that is r times shorter than 30 000, its logarithm linear in t. Longer steps leave splats as the last few views would
-    /// have them: on skull66, held-out views went up and down by a dB from epoch to epoch (`docs/experiments.md`).
+    /// Factor on learning rates towards the end of a short run, after `t` iterations: 1 in its first three quarters,
+    /// then falling to a tenth, or to 1/r in one r times shorter than 30 000 where that is more, its logarithm linear
+    /// in t. With the longer steps splats fit the last few views: on skull66, held-out views went up and down by a dB
+    /// from epoch to epoch (`docs/experiments.md`).
     #[must_use]
     pub(super) fn settling(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));
@@ -201,8 +209,9 @@ impl Schedule {
         shorter.powf((SETTLES_FROM - at) / (1.0 - SETTLES_FROM)) as f32
     }
 
-    /// Learning rates after `t` iterations in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in short runs
-    /// ([`Self::haste`]) but for opacities, which come from 0.005 to 0.995 in 200 steps, and smaller at their end ([`Self::settling`]).
+    /// Learning rates after `t` iterations in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in
+    /// short runs ([`Self::haste`]), except for opacities, which go from 0.005 to 0.995 in 200 steps, and smaller at
+    /// their end ([`Self::settling`]).
     #[must_use]
     pub(super) fn rates(&self, t: u32, extent: f32) -> SplatRates {
         let settling = self.settling(t);
@@ -217,9 +226,9 @@ impl Schedule {
         }
     }
 
-    /// Learning rate of exposures after `t` iterations, of which each trains on one of `views`: from 1e-2 to 1e-3, its logarithm linear
-    /// in t/n (as in INRIA 3DGS). That reaches half of the brightness where a view is seen 150 times, as in 30,000 iterations on 200
-    /// photographs; where it is seen less often the rate is higher, up to ten times.
+    /// Learning rate of exposures after `t` iterations, each on one of `views`: from 1e-2 to 1e-3, its logarithm linear
+    /// in t/n (as in INRIA 3DGS). These rates reach half of the brightness where a view is seen 150 times, as in 30,000
+    /// iterations on 200 photographs; where it is seen less often the rate is higher, up to ten times.
     #[must_use]
     pub(super) fn exposure_rate(&self, t: u32, views: usize) -> f32 {
         let n = f64::from(self.iterations.max(1));
@@ -235,12 +244,12 @@ pub(super) fn position_rate(t: u32, iterations: u32) -> f64 {
     (1.6e-4_f64.ln() * (1.0 - at) + 1.6e-6_f64.ln() * at).exp()
 }
 
-/// Learning rate of texels during a warm-up of `iterations`, `dense` if texels move in every iteration.
+/// Learning rate of texels during a warm-up of `iterations`; `dense` if every texel moves in every iteration.
 ///
-/// The paper's 5e-4 over 9000 iterations reaches 4.5, which is an opacity of 0.989 and a colour beyond black or white, and so
-/// does a shorter warm-up, at a higher rate, up to 0.07. Texels that move only where a view shows them get three times that reach,
-/// since a view in five or so does. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with the paper's reach, 25.23 with
-/// twice that, 25.36 with three times and no bands.)
+/// The paper's 5e-4 over 9000 iterations moves a texel by 4.5, an opacity of 0.989 and a colour beyond black or white.
+/// A shorter warm-up has a higher rate for the same reach, up to 0.07. Texels that move only when a view shows them get
+/// three times that reach, since a view in five or so does. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with
+/// the paper's reach, 25.23 with twice that, 25.36 with three times and no bands.)
 #[must_use]
 pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
     let shorter = f64::from(PAPER_WARM_UP) / f64::from(iterations.clamp(1, PAPER_WARM_UP));
@@ -248,17 +257,18 @@ pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
     (PAPER_TEXEL_RATE * reach * shorter).min(0.07) as f32
 }
 
-/// Rate of texels after `t` iterations of the joint phase: from `warm`, that of the warm-up, to three tenths of that, its logarithm
-/// linear in t, but not below the paper's 5e-4.
+/// Learning rate of texels after `t` iterations of the joint phase: from `warm`, that of the warm-up, to three tenths
+/// of it, its logarithm linear in t, but not below the paper's 5e-4.
 #[must_use]
 pub(super) fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
     (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
 }
 
-/// The step of vertices of a fused surface after `t` iterations of a phase with a mesh, where pictures have sides up to `longest`: none in
-/// its first eighth, while maps are still grey or splats beside them are to grow, then 0.1 pixels falling to 0.01, its logarithm
-/// linear in t; in a longer phase less, so that all steps together come no farther than a thirteenth of that side.
+/// Step of the vertices of a made surface after `t` iterations of a phase with a mesh, for pictures with sides up to
+/// `longest`: none in the first eighth, while maps are still grey or splats beside them have yet to grow, then 0.1
+/// pixels falling to 0.01, its logarithm linear in t; less in a longer phase, so that all steps together reach no
+/// farther than a thirteenth of that side.
 #[must_use]
 pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<VertexStep> {
     let before = t.checked_sub(iterations.div_ceil(8))?;
@@ -270,9 +280,9 @@ pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<Verte
     Some(VertexStep { number: before + 1, rate: (first * 0.1_f64.powf(at)) as f32 })
 }
 
-/// Radians, and fractions of the extent, by which poses move after `t` of `iterations`, of which each trains on one of `views`:
-/// nothing in the first twentieth, while all is blurred, then from a rate that falls to a hundredth, its logarithm linear in t. All
-/// steps of a view together come as far as `reach`, a single one at most a third of that.
+/// Step size of poses after `t` of `iterations`, each on one of `views`, in radians of rotation and extents of shift: 0
+/// in the first twentieth, while all is blurred, then a rate that falls to a hundredth, its logarithm linear in t. All
+/// steps of a view together reach `reach`, a single one at most a third of it.
 #[must_use]
 pub(super) fn pose_rate(t: u32, iterations: u32, views: usize, reach: f64) -> f32 {
     let n = f64::from(iterations.max(1));

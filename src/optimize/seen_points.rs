@@ -1,4 +1,4 @@
-//! Which of a capture's points its views see, and whether these are enough for a surface of them.
+//! Points visible in a capture's views, and whether these are enough to make a surface of.
 
 use std::sync::Arc;
 
@@ -12,13 +12,13 @@ use crate::{
     stats::median,
 };
 
-/// Points that the median view must be known to see for a surface of points by default: some too few for its triangles to be
-/// more than guesses. Structure from motion finds hundreds.
+/// Least number of visible points listed for the median view for a surface to be made of points by default: with
+/// somewhat fewer its triangles would already be guesses. Structure from motion finds hundreds.
 const LEAST_SEEN: usize = 100;
 
-/// What these views of a capture see of its points, by the `cameras` of all its views: what its list says, or is likely where that says
-/// nothing, and of that what photographs show where `photo_of` has one that may leave something out. A view of which nothing is left then is
-/// none.
+/// Per view, the visible points: from the structure-from-motion track list if present, else estimated; points masked
+/// out of the photograph are removed. `cameras` are those of all views of the capture; `photo_of` yields a view's
+/// photograph where it may mask something. Views left with no point are omitted.
 ///
 /// # Errors
 /// If a photograph cannot be read.
@@ -52,11 +52,11 @@ pub fn point_views(
     Ok(seen.into_iter().map(|(_, of_view)| of_view).filter(|of_view| !of_view.sees.is_empty()).collect())
 }
 
-/// Whether so few of the points that views see are left by what photographs show of them that a surface of them would be a guess, where it would
-/// not have been one before.
+/// Whether the photographs' masks leave so few visible points that a surface of them would be a guess, where it was
+/// none before.
 pub(super) fn are_few_left(capture: &Capture, views: &[usize], seen: &[PointView]) -> bool {
     let listed = views.iter().map(|&i| capture.views[i].sees.len()).collect();
-    // A view of which nothing is left is none, and has none.
+    // Views left with no point are missing from `seen`; each counts as 0.
     let left = seen.iter().map(|view| view.sees.len());
     let left = left.chain(std::iter::repeat_n(0, views.len() - seen.len())).collect();
     are_many(listed) && !are_many(left)

@@ -1,4 +1,4 @@
-//! How large a scene is, in a capture's unit of length, which is any.
+//! Size of a scene, in a capture's arbitrary unit of length.
 
 use std::ops::RangeInclusive;
 
@@ -8,13 +8,14 @@ use crate::{
     stats::median,
 };
 
-/// Extent of captures as COLMAP scales them, about, for which noise and regularisers of 3DGS-MCMC were chosen: lengths are in their units.
+/// Typical extent of captures as scaled by COLMAP, for which noise and regularisers of 3DGS-MCMC were chosen: lengths
+/// are in their units.
 const USUAL_EXTENT: f64 = 5.0;
-/// Extents of median depth that such captures have; cameras of others stand closer together, or are spread farther.
+/// Extent divided by median depth of such captures; in others cameras stand closer together, or are spread farther.
 const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
-/// Tangent of half the angle of view of lenses, below which what they see is no longer about as large as it is far away.
+/// Tangent of half a lens's angle of view below which the visible region is notably smaller than its distance.
 const NARROW: f64 = 0.1;
-/// Points of the pictures of all views, of which the median depth is taken, at most.
+/// Largest number of projected points, over all views, from which the median depth is taken.
 const DEPTHS: usize = 1_000_000;
 
 /// [`capture::extent_or_depth`] of cameras, and 1 if nothing tells.
@@ -22,13 +23,13 @@ pub(super) fn extent(cameras: &[Camera], depth: Option<f64>) -> f64 {
     capture::extent_or_depth(cameras, depth).unwrap_or(1.0)
 }
 
-/// Near plane of a scene of this extent ([`extent`]): as wanted, but no more than a twentieth of it.
+/// Near plane for a scene of this extent ([`extent`]): as wanted, but at most a twentieth of it.
 pub(super) fn near_plane(extent: f32, wanted: f32) -> f32 {
     wanted.min(0.05 * extent)
 }
 
-/// How much smaller what cameras see is, beside how far away it is and how far they are apart, than through usual lenses: 1, and less through
-/// long ones, by the median of their angles of view along the longer side.
+/// Factor, at most 1, by which a narrow angle of view makes the visible region smaller than through usual lenses,
+/// relative to its distance and to the spread of the cameras; from the median angle of view along the longer side.
 pub(super) fn narrowness(cameras: &[Camera]) -> f64 {
     let half_angle = |camera: &Camera| {
         let k = camera.intrinsics();
@@ -37,13 +38,13 @@ pub(super) fn narrowness(cameras: &[Camera]) -> f64 {
     median(cameras.iter().map(half_angle).collect()).map_or(1.0, |tangent| (tangent / NARROW).min(1.0))
 }
 
-/// A capture's size in that of captures for which constants with a length in them were chosen: by the extent of its cameras, as far as this
-/// says how large what they see is.
+/// A capture's unit of length, relative to captures for which constants with a length in them were chosen: from the
+/// extent of its cameras, clamped to what the depth of the scene makes plausible.
 pub(super) fn unit_of_length(extent: f64, depth: Option<f64>) -> f64 {
     depth.map_or(extent, |d| extent.clamp(USUAL_SPREAD.start() * d, USUAL_SPREAD.end() * d)) / USUAL_EXTENT
 }
 
-/// Of the points in the pictures of these views; `None` if there are none.
+/// Median depth of the points that project into these views; `None` if there are none.
 pub(super) fn median_depth(capture: &Capture, views: &[usize]) -> Option<f64> {
     let step = (views.len() * capture.points.len()).div_ceil(DEPTHS).max(1);
     let in_view = |&i: &usize| {

@@ -1,8 +1,8 @@
-//! Static scenes: from posed photographs to a hybrid, after HERA.
+//! Training of static scenes: from posed photographs to a hybrid, after HERA.
 //!
-//! Three phases: splats alone, for a surface (unless there is a mesh or none is wanted); the maps of the mesh alone;
-//! everything together. All that is random is drawn from the seed and the iteration of the splats, or of the warm-up, so that a resumed run takes
-//! the views and decisions of an uninterrupted one.
+//! Three phases: splats alone, for a surface (skipped with a given mesh or without one); the maps of the mesh alone;
+//! everything together. All random numbers are drawn from the seed and the iteration of the splats, or of the warm-up,
+//! so that a resumed run takes the views and decisions of an uninterrupted one.
 
 mod backdrop;
 mod budget;
@@ -51,7 +51,7 @@ use crate::{
     scene::{Camera, Composition, HybridScene, Mesh, PixelFilter},
 };
 
-/// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), but never more than a twentieth of the extent.
+/// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), limited to a twentieth of the extent.
 const NEAR: f32 = 0.2;
 
 /// Why a run ended.
@@ -66,51 +66,53 @@ pub enum Outcome {
 /// The result of a run.
 #[derive(Clone, Debug)]
 pub struct Trained {
-    /// The scene as it is.
+    /// The scene.
     pub scene: HybridScene,
-    /// What the surface of its mesh was made of, if it has one.
+    /// Data that the surface of its mesh was made of, if it has one.
     pub surface: Option<SurfaceOrigin>,
     /// Why no surface could be made, if this run tried.
     pub no_surface: Option<String>,
-    /// What became of the triangles that were found, if this run judged them.
+    /// Verdict on the triangles of the surface, if this run judged them.
     pub selection: Option<Selection>,
-    /// Triangles of its mesh that are of the shell around everything else, see [`TrainOptions::shell`].
+    /// Triangles of its mesh that belong to the shell around everything else, see [`TrainOptions::shell`].
     pub shell_triangles: usize,
-    /// Triangles of a found surface that went after training, having become invisible.
+    /// Number of triangles of a made surface that were removed after training because they had become invisible.
     pub faint_triangles: usize,
-    /// Splats that went after training, since opaque triangles hide them from all training views.
+    /// Number of splats removed after training because opaque triangles hide them from all training views.
     pub occluded_splats: usize,
     /// Why the run ended.
     pub outcome: Outcome,
-    /// Reports after every so many iterations, those from before the run was resumed included.
+    /// Progress reports, those from before the run was resumed included.
     pub history: Vec<Progress>,
-    /// By the names of training views, the 3×4 matrix, by rows, that takes what is rendered, (r, g, b, 1), to the photograph; empty
-    /// without [`TrainOptions::exposure`].
+    /// Exposures by name of training view: the 3×4 matrix, by rows, that maps the rendered colour (r, g, b, 1) to the
+    /// photograph's; empty without [`TrainOptions::exposure`].
     pub exposures: Vec<(String, [f32; 12])>,
-    /// By the names of training views, how they were refined; empty without [`TrainOptions::refine_poses`].
+    /// Refinements of poses by name of training view; empty without [`TrainOptions::refine_poses`].
     pub poses: Vec<(String, RefinedPose)>,
-    /// Of all views of the capture, refined where they were.
+    /// Cameras of all views of the capture, refined ones included.
     pub cameras: Vec<Camera>,
-    /// Seconds per joint iteration, those before the run was resumed included, without evaluation; `None` if there was none.
+    /// Mean seconds per joint iteration, without evaluation, those before the run was resumed included; `None` if there
+    /// was none.
     pub seconds_per_iteration: Option<f64>,
-    /// Seconds of the whole training: all phases, evaluation, a surface being made and judged. Of what was before the run was resumed, until
-    /// its checkpoint.
+    /// Seconds of the whole training: all phases, evaluation, making and judging a surface. From before a resumption,
+    /// the time up to the checkpoint counts.
     pub training_seconds: f64,
-    /// Most bytes that buffers took at once on the adapter; of a run that was resumed, since then.
+    /// Peak bytes of buffers on the adapter; in a resumed run, since it was resumed.
     pub peak_gpu_bytes: u64,
-    /// Iterations of this run that were taken again because their view, or one before it, needed longer lists, which were made then.
+    /// Iterations of this run that were repeated because their view, or one before it, needed longer lists, which were
+    /// made then.
     pub repeated_iterations: u32,
 }
 
-/// The file, if any, that a run is kept in.
+/// Checkpoint file of a run, if any.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Checkpoints {
-    /// None: what an interrupted run has learnt is in its result alone.
+    /// No checkpoint: the progress of an interrupted run is only in its result.
     #[default]
     Off,
-    /// Written now and then, see [`TrainOptions::checkpoint_every`].
+    /// Written regularly, see [`TrainOptions::checkpoint_every`].
     Save(PathBuf),
-    /// The same, after the run has gone on from what it holds.
+    /// As `Save`, after the run has resumed from the file.
     Resume(PathBuf),
 }
 
@@ -123,13 +125,14 @@ impl Checkpoints {
     }
 }
 
-/// What a run needs besides the capture and the options.
+/// Adapter, checkpoint file and callbacks of a run.
 pub struct Session<'a> {
     /// The adapter to train on.
     pub gpu: &'a Gpu,
-    /// Where the run is kept.
+    /// Checkpoint file.
     pub checkpoints: Checkpoints,
-    /// Set from outside to end the run after the current iteration, or the first one after a surface that is being made.
+    /// Flag, set from outside, that ends the run after the current iteration, or after the first one following a
+    /// surface that is being made.
     pub stop: &'a AtomicBool,
     /// Receives every report.
     pub progress: &'a mut dyn FnMut(&Progress),
@@ -138,9 +141,10 @@ pub struct Session<'a> {
 /// Trains a static scene on the views of a capture that [`TrainOptions::split`] leaves for it.
 ///
 /// # Errors
-/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a given mesh, no view sees
-/// that mesh, it leaves no room in its atlas or none for a splat in the budget, a checkpoint cannot be read or written or is of another run, the
-/// adapter fails or has too little memory, or a parameter is no longer finite.
+/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a
+/// given mesh, no view sees that mesh, its charts do not fit the atlas, the budget has no room for a splat beside it, a
+/// checkpoint cannot be read or written or is of another run, the adapter fails or has too little memory, or a
+/// parameter is no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
     mesh: MeshSource,
@@ -152,7 +156,7 @@ pub fn train<'a>(
         return Run::new(capture, options, &mesh, session)?.all(mesh);
     };
     let (capture, mesh) = (origin.capture(capture)?, origin.mesh(mesh));
-    // Written anew, since it may not outlive this capture.
+    // Rebuilt, since its lifetime may not outlive this capture.
     let Session { gpu, checkpoints, stop, progress } = session;
     let session = Session { gpu, checkpoints, stop, progress };
     let trained = Run::new(&capture, options, &mesh, session)?.all(mesh)?;
@@ -164,32 +168,32 @@ struct Run<'a> {
     capture: &'a Capture,
     options: &'a TrainOptions,
     session: Session<'a>,
-    /// Of all views; those of training views as refined, after the phase that refines them.
+    /// Cameras of all views; those of training views refined, after the phase that refines them.
     cameras: Vec<Camera>,
     train_cameras: Vec<Camera>,
     train: Vec<usize>,
     test: Vec<usize>,
     photos: Photographs<'a>,
-    /// Bytes of them that may stay on the adapter.
+    /// Bytes of photographs that may stay on the adapter.
     kept_photographs: u64,
     longest_side: u32,
     budget: Budget<'a>,
     extent: f32,
     /// The capture's unit of length, see [`size::unit_of_length`].
     unit: f32,
-    /// About how far away is what views see, world units.
+    /// Approximate distance of what views see, world units.
     distance: f32,
-    /// Near plane, by the poses as they were given.
+    /// Near plane, from the poses as given.
     near: f32,
     log: Log,
     found: SurfaceRecord,
-    /// Around surfaces that the run makes, where photographs do not say by themselves that nothing is behind.
+    /// Shell for surfaces that the run makes; none where the photographs' alpha or masks say that nothing is behind.
     shell: Option<Shell>,
-    /// Of the mesh that was given.
+    /// Ray hierarchy of the given mesh.
     given_hierarchy: OnceCell<Rc<MeshBvh>>,
-    /// Of all views of the capture, after the last phase.
+    /// Exposures of all views of the capture, after the last phase.
     exposures: Option<ExposureState>,
-    /// Of all views of the capture, after the phase that refines them.
+    /// Poses of all views of the capture, after the phase that refines them.
     poses: Option<PoseState>,
 }
 
@@ -222,7 +226,7 @@ impl<'a> Run<'a> {
         let near = size::near_plane(extent, NEAR);
         let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
         let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
-        // Without a warm-up nothing would be judged.
+        // Without a warm-up the shell would not be judged.
         let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &capture.positions())).flatten();
         Ok(Self {
@@ -256,7 +260,7 @@ impl<'a> Run<'a> {
             Checkpoints::Resume(file) => Some(Saved::read(file, &self.identity)?),
             Checkpoints::Off | Checkpoints::Save(_) => None,
         };
-        // The phases before this one are done, and what was saved is of it.
+        // The phases before this one are done; the saved state belongs to it.
         let first = match &saved {
             Some(saved) => saved.phase,
             None if self.finds_surface() => Phase::Surface,
@@ -297,7 +301,7 @@ impl<'a> Run<'a> {
         self.finish(&mut training, &scene, outcome)
     }
 
-    /// Takes over what a run that goes on knows of itself, and its cameras if they are refined no further.
+    /// Restores the records of a resumed run, and its cameras if they are refined no further.
     fn recall(&mut self, saved: &mut Saved) {
         self.log.past = std::mem::take(&mut saved.past);
         self.log.reached = (saved.phase, saved.iteration);
@@ -309,7 +313,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// What the run begins or goes on with; in the latter case saved splats take the place of these when the phase begins.
+    /// Initial scene of the run; when resuming, saved splats replace the initial ones once the phase begins.
     fn first_scene(&mut self, source: MeshSource, saved: Option<&mut Saved>) -> Result<HybridScene, TrainError> {
         let begins = saved.is_none();
         let meshes = match (saved, source) {
@@ -320,13 +324,13 @@ impl<'a> Run<'a> {
             }
             (None, _) => vec![],
         };
-        // A mesh that is there from the beginning takes its part of the budget from the beginning.
+        // A mesh that exists from the beginning takes its part of the budget from the beginning.
         let splats = self.initial_splats(if self.finds_surface() { &[] } else { &meshes }, begins)?;
         Ok(HybridScene { splats, meshes, composition: self.composition() })
     }
 
-    /// Trains splats alone and makes the mesh of the scene, if there is one to make. The splats go on in the training that it returns, with
-    /// their moments; what was interrupted is done.
+    /// Trains splats alone and makes the mesh of the scene, if one can be made. Returns the training in which the
+    /// splats go on, with their moments, or, if interrupted, the finished result.
     fn surface_phase(
         &mut self,
         scene: &mut HybridScene,
@@ -344,46 +348,47 @@ impl<'a> Run<'a> {
                 vec![]
             }
         };
-        // As in `share_out`, before the adapter takes them: maps that stay as they were laid out may need more than was asked for.
+        // Checked as in `share_out`, before the adapter allocates: maps that are never packed again may exceed the
+        // budget.
         if self.options.warmup == 0 && self.budget.check(&scene.meshes).is_err() {
             scene.meshes.clear();
         }
         let splats = training.read_splats()?;
         finite::finite_splats(&splats, self.log.reached.0, self.log.reached.1)?;
         scene.splats = splats.to_splats()?;
-        // Both at once are more than was asked for.
+        // Dropped first: both trainings at once would exceed the memory asked for.
         drop(training);
         training = self.training(scene)?;
-        // With their moments. They are not rendered during the warm-up; the handover picks from them.
+        // Restores the moments. Splats are not rendered during the warm-up; the handover picks from them.
         training.write_splats(&splats)?;
         Ok(ControlFlow::Continue(training))
     }
 
-    /// After the warm-up: keeps of the mesh what explains the photographs about as well as splats do, and of the splats those that
-    /// explain them better than the mesh.
+    /// Divides the scene after the warm-up: keeps the triangles that explain the photographs about as well as splats
+    /// do, and the splats that explain them better than the mesh.
     fn share_out(&mut self, mut training: Training<'a>, scene: &mut HybridScene) -> Result<Training<'a>, TrainError> {
         scene.meshes = training.read_meshes(&scene.meshes)?;
         let mut meshes = scene.meshes.clone();
-        // Maps that have not learnt anything cannot be judged.
+        // Maps without training cannot be judged.
         if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
             let (kept, selection) = self.select_faces(&mut training, mesh)?;
             self.found.selection = Some(selection);
             meshes = kept.into_iter().collect();
         }
-        // Plain splats make more of a budget that is too small for a mesh.
+        // With a budget too small for a mesh, plain splats are the better use of it.
         if self.budget.check(&meshes).is_err() {
             meshes.clear();
         }
-        // What was judged is another mesh, to Adam also where its maps are the same.
+        // A judged mesh is another one to Adam, even where its maps are the same.
         if self.found.selection.is_some() || meshes != scene.meshes {
             let splats = training.read_splats()?;
             scene.meshes = meshes;
-            // Two hybrids at once are more than was asked for.
+            // Dropped first: two hybrids at once would exceed the memory asked for.
             drop(training);
             training = self.training(scene)?;
             training.write_splats(&splats)?;
         }
-        // Nothing takes the splats' place without a mesh.
+        // Without a mesh nothing replaces the splats.
         if !scene.meshes.is_empty() {
             self.hand_over(&mut training, self.budget.splats_beside(&scene.meshes))?;
         }
@@ -405,7 +410,7 @@ impl<'a> Run<'a> {
         Ok(training)
     }
 
-    /// The joint phase begins with splats of the surface phase then.
+    /// Whether the run makes its surface itself; the joint phase then begins with the splats of the surface phase.
     fn finds_surface(&self) -> bool {
         self.identity.finds_surface
     }
@@ -422,12 +427,14 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Points that say where the scene is, see [`fused::whereabouts`]. Beside an untrained mesh splats rest: these do not change.
+    /// Points from which the scene's place is estimated, see [`fused::whereabouts`]. Splats beside an untrained mesh
+    /// rest, so the answer does not change.
     fn whereabouts(&self, training: &Training) -> Result<Vec<Vec3>, TrainError> {
         fused::whereabouts(self.capture, || Ok(training.read_splats()?.to_splats()?.means().to_vec()))
     }
 
-    /// Where charts are laid out, if not in the world: the scene has no bounds, or there is a shell. By the cameras as they are now.
+    /// Space in which charts are laid out, if not the world: in unbounded scenes and with a shell. From the present
+    /// cameras.
     fn charts_in(&self, training: &Training) -> Result<Option<ChartSpace>, TrainError> {
         let points = self.whereabouts(training)?;
         let around = || Contraction::around(&self.train_cameras, &points);
@@ -438,10 +445,10 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// For rays among the meshes of this run. That of a mesh that was given, which does not move, is built once.
+    /// Ray hierarchy of the meshes of this run. That of a given mesh, which does not move, is built once.
     fn hierarchy(&self, meshes: &[Mesh]) -> Rc<MeshBvh> {
         let build = || Rc::new(MeshBvh::of(meshes));
-        // Without a mesh there is none to keep; of those that are found every one is another.
+        // Nothing to keep without a mesh; and each mesh that the run makes is another one.
         if self.finds_surface() || meshes.is_empty() {
             build()
         } else {
@@ -459,14 +466,14 @@ impl<'a> Run<'a> {
         finite::check_finite(training, phase, iteration)?;
         let (splats, mut meshes) = (training.read_splats()?.to_splats()?, training.read_meshes(&scene.meshes)?);
         let all = splats.len();
-        // The checkpoint of what was interrupted has all of them.
+        // An interrupted run keeps all splats, as its checkpoint does.
         let splats = match outcome {
             Outcome::Finished => self.without_occluded(training, splats, &meshes)?,
             Outcome::Interrupted => splats,
         };
         let triangles = |meshes: &[Mesh]| meshes.iter().map(|mesh| mesh.triangles().len()).sum::<usize>();
         let trained = triangles(&meshes);
-        // As above; of the user's mesh nothing goes.
+        // As for splats; of the user's mesh nothing is removed.
         if self.finds_surface() && outcome == Outcome::Finished {
             meshes = meshes.into_iter().filter_map(|mesh| self.without_faint(mesh)).collect();
         }
@@ -496,7 +503,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Up to four of the held-out views, for a look at them while training.
+/// Up to four of the held-out views, evaluated while training.
 fn sampled(test: &[usize]) -> impl Iterator<Item = usize> {
     test.iter().copied().step_by(test.len().div_ceil(4).max(1))
 }
@@ -505,7 +512,7 @@ fn longest_side(camera: &Camera) -> u32 {
     camera.intrinsics().longer_side()
 }
 
-/// The splats on the GPU, to be rearranged.
+/// Splats on the GPU as an [`Arrangement`].
 pub(super) fn arrangement(training: &Training) -> Result<Arrangement, TrainError> {
     Ok(Arrangement::new(training.read_geometry()?))
 }

@@ -1,4 +1,4 @@
-//! Camera paths through what was photographed: from posed views to the frames of a shot.
+//! Camera paths around a captured subject: from posed views to the frames of a shot.
 //!
 //! All are in the world of the views, whatever it is; up is where the views have theirs. A path never holds a number that
 //! is not finite: views that say too little give an error, which names the option that says the rest. Of a scene without
@@ -18,29 +18,30 @@ pub use overview::{Overview, overview};
 use rig::Rig;
 pub use spline::{Spline, spline};
 
-/// What all paths share.
+/// Options common to all paths.
 #[derive(Clone, Copy, Debug)]
 pub struct Shot {
     /// Number of frames, at least 1.
     pub frames: usize,
-    /// Width and height of the image; `None`: those of the view with the median field of view.
+    /// Width and height of the image; `None`: those of the view with the median vertical field of view.
     pub size: Option<[u32; 2]>,
-    /// Vertical field of view in radians; `None`: the median of the views.
+    /// Vertical field of view in radians; `None`: the median over the views.
     pub fov_y: Option<f64>,
 }
 
-/// A path around the point that the views look at; lengths are in world units.
+/// Options of a path around the point at which the views look; lengths are in world units.
 #[derive(Clone, Copy, Debug)]
 pub struct Around {
-    /// That point; `None`: the one nearest to all optical axes, by squared distance.
+    /// Point to look at; `None`: the least-squares nearest point to all optical axes.
     pub focus: Option<DVec3>,
-    /// Radius of the circle, half the width of the figure of eight; `None`: from the views.
+    /// Radius of the circle, or half the width of the figure of eight; `None`: derived from the views.
     pub radius: Option<f64>,
-    /// Of the circle's centre above the focus, along its axis; half the height of the loops of the figure of eight.
+    /// Height of the circle's centre above the focus, along the circle's axis; or half the height of the loops of the
+    /// figure of eight. `None`: derived from the views.
     pub height: Option<f64>,
-    /// Factor of the radius.
+    /// Factor by which the radius is multiplied.
     pub radius_scale: f64,
-    /// Factor of the height.
+    /// Factor by which the height is multiplied.
     pub height_scale: f64,
 }
 
@@ -50,25 +51,25 @@ impl Default for Around {
     }
 }
 
-/// Why there is no path.
+/// Reasons for which no path can be made.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PathError {
-    /// There is nothing to make it from.
+    /// There are too few views.
     #[error("expected at least {expected} views, found {found}")]
     TooFew {
-        /// Least number.
+        /// Least number of views.
         expected: usize,
-        /// Number of views.
+        /// Number of views found.
         found: usize,
     },
-    /// Optical axes are parallel, or there is one only.
+    /// All optical axes are parallel, or there is only one.
     #[error("the views' optical axes do not meet in a point: state what to look at as the focus")]
     NoFocus,
-    /// The point nearest to the optical axes is behind most views.
+    /// The point nearest to the optical axes lies behind most views.
     #[error("the views look away from each other: state what to look at as the focus")]
     Outwards,
-    /// Circle or figure would be a point.
+    /// The circle or figure of eight would shrink to a point.
     #[error("the views are on the axis through the focus: state the radius")]
     NoRadius,
     /// A scene without views shows nothing either.
@@ -79,13 +80,13 @@ pub enum PathError {
     Camera(#[from] SceneError),
 }
 
-/// A circle about the focus in the plane that fits the views' centres best, or a level one where that plane is more than 45°
-/// from level or is none. Radius and height are the views' mean distances from its axis and above the focus. Frames are
-/// evenly spaced, counterclockwise seen from above, begin at the azimuth of the first view, and do not repeat it: the shot
-/// can be looped.
+/// Circle about the focus in the best-fit plane of the camera centres, or a level one where that plane is undefined or
+/// more than 45° from level. Radius and height default to the views' mean distance from the axis and mean height above
+/// the focus. Frames are evenly spaced, counterclockwise seen from above; the first has the azimuth of the first view
+/// and is not repeated at the end, so that the shot can be looped.
 ///
 /// # Errors
-/// If there are no views, or they do not say what to look at or from where.
+/// If there are no views, or they do not determine where to look at or from.
 pub fn orbit(views: &[Camera], around: &Around, shot: &Shot) -> Result<Vec<Camera>, PathError> {
     let k = intrinsics(views, shot)?;
     let rig = Rig::of(views)?;
@@ -112,18 +113,19 @@ pub fn orbit(views: &[Camera], around: &Around, shot: &Shot) -> Result<Vec<Camer
     (0..shot.frames).map(frame).collect()
 }
 
-/// Half the width of a figure of eight is at most this part of the distance to the focus, unless stated.
+/// Upper bound on half the width of a figure of eight, relative to the distance to the focus, unless stated.
 const WIDEST: f64 = 0.25;
-/// And this part where all views are in one place.
+/// Half the width of a figure of eight relative to the distance to the focus, where all views coincide.
 const DEFAULT_WIDTH: f64 = 0.1;
 
-/// A figure of eight (the lemniscate of Gerono: x = a sin t, y = b sin 2t) across the direction from the focus to the mean
-/// view, at the views' mean distance; where the views surround the focus, to the first view instead. Half its width a is the
-/// views' spread (root mean square) across that direction, half the height of its loops b a third of a. Every frame looks
-/// at the focus. The first is in the middle; the shot can be looped.
+/// Figure of eight (the lemniscate of Gerono: x = a sin t, y = b sin 2t), perpendicular to the direction from the focus
+/// to the mean view, at the views' mean distance; where the views surround the focus, the direction is that to the
+/// first view. Half the width, a, is the root-mean-square spread of the views perpendicular to that direction; half the
+/// height of the loops, b, is a/3. Every frame looks at the focus. The first frame is at the crossing; the shot can be
+/// looped.
 ///
 /// # Errors
-/// As [`orbit`].
+/// Same as [`orbit`].
 pub fn lemniscate(views: &[Camera], around: &Around, shot: &Shot) -> Result<Vec<Camera>, PathError> {
     let k = intrinsics(views, shot)?;
     let rig = Rig::of(views)?;

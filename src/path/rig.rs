@@ -1,39 +1,40 @@
-//! What posed views have in common: where they are, what they look at, where they have up.
+//! Geometry common to posed views: camera centres, viewing directions, up direction.
 
 use glam::{DMat3, DVec3};
 
 use super::PathError;
 use crate::scene::{Camera, OpticalAxes};
 
-/// Cosine of the angle between up and an orbit's axis from which on the orbit is level instead.
+/// Cosine of the angle between up and the best-fit plane's normal, at or below which the orbit is level instead.
 const STEEPEST: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// Least variance of centres, as part of the largest, along the second axis of the plane that fits them.
+/// Least variance of the camera centres along the second axis of their best-fit plane, relative to the largest
+/// variance.
 const LEAST_WIDTH: f64 = 1e-4;
 
 pub(super) struct Rig {
     pub(super) centers: Vec<DVec3>,
     forwards: Vec<DVec3>,
     axes: OpticalAxes,
-    /// Of length 1.
+    /// Up direction, of unit length.
     pub(super) up: DVec3,
 }
 
 impl Rig {
     /// # Errors
-    /// Without views.
+    /// If there are no views.
     pub(super) fn of(views: &[Camera]) -> Result<Self, PathError> {
         let row = |i: usize| move |view: &Camera| view.rotation().row(i);
         let centers: Vec<DVec3> = views.iter().map(Camera::center).collect();
         let forwards: Vec<DVec3> = views.iter().map(row(2)).collect();
         let first_up = -row(1)(views.first().ok_or(PathError::TooFew { expected: 1, found: 0 })?);
         let sum: DVec3 = views.iter().map(|view| -row(1)(view)).sum();
-        // Views upright and upside down in equal parts have no mean.
+        // Equally many upright and inverted views have no mean up direction.
         let up = if sum.length() > 0.01 * views.len() as f64 { sum.normalize() } else { first_up };
         Ok(Self { centers, forwards, axes: OpticalAxes::of(views), up })
     }
 
-    /// The point nearest to all optical axes, if it is in front of most views.
+    /// Least-squares nearest point to all optical axes; an error unless it lies in front of most views.
     pub(super) fn focus(&self) -> Result<DVec3, PathError> {
         let focus = self.axes.meeting_point().ok_or(PathError::NoFocus)?;
         let in_front = self.centers.iter().zip(&self.forwards).filter(|(c, d)| (focus - **c).dot(**d) > 0.0).count();
@@ -43,8 +44,8 @@ impl Rig {
         Ok(focus)
     }
 
-    /// The normal of the plane that fits the centres best, on the side of up; up itself where the centres are nearly on a line,
-    /// or the plane is nearer to upright than to level.
+    /// Axis of the orbit: the normal of the best-fit plane of the camera centres, oriented upwards; or up itself where
+    /// the centres are nearly collinear or the plane is more than 45° from level.
     pub(super) fn orbit_axis(&self) -> DVec3 {
         let mean = self.centers.iter().sum::<DVec3>() / self.centers.len() as f64;
         let mut covariance = DMat3::ZERO;
@@ -59,11 +60,11 @@ impl Rig {
     }
 }
 
-/// Eigenvalues of a symmetric matrix, least first, and their vectors of length 1, by Jacobi's rotations.
+/// Eigenvalues of a symmetric matrix, ascending, and its unit eigenvectors, by Jacobi rotations.
 pub(super) fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
     let mut a = matrix.transpose().to_cols_array_2d();
     let mut vectors = [DVec3::X, DVec3::Y, DVec3::Z];
-    // Converges quadratically: three or four sweeps reach rounding.
+    // Quadratic convergence: three or four sweeps reach machine precision.
     for _ in 0..16 {
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {
             if a[p][q] == 0.0 {

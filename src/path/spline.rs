@@ -1,4 +1,4 @@
-//! A smooth path through views.
+//! Smooth camera path through views.
 
 use std::ops::{Add, Mul, Sub};
 
@@ -7,34 +7,35 @@ use glam::{DMat3, DQuat, DVec3, DVec4};
 use super::{PathError, Shot, intrinsics};
 use crate::scene::Camera;
 
-/// Which views a spline goes through.
+/// Choice of the views through which a spline passes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Spline {
-    /// Number of views that are keys, evenly picked in their order; `None` or more than there are: all.
+    /// Number of views used as keys, picked at even spacing in their order; `None` or more than there are: all.
     pub keys: Option<usize>,
-    /// Goes on from the last key to the first.
+    /// Whether the path continues from the last key to the first.
     pub closed: bool,
 }
 
-/// Chords per segment by which its length is measured.
+/// Number of chords by which the length of a segment is measured.
 const CHORDS: usize = 256;
 
-/// Distance of centres that are one, relative to that from the origin.
+/// Distance at which camera centres count as equal, relative to their largest distance from the origin.
 const ROUNDING: f64 = 1e-12;
 
-/// Keys are one where distance and angle between them, each relative to its mean, are less than this together: the velocity at both would be
-/// that between them, next to nothing, and the path a corner there.
+/// Keys are merged if the sum of their distance and angle, each relative to its mean, is less than this: the velocity
+/// at both would be nearly zero and the path would have a corner there.
 const ONE_KEY: f64 = 1e-3;
 
-/// A segment turns in place if its length is less than this part of what its angle counts for.
+/// A segment counts as turning in place if its length is less than this fraction of the length equivalent of its angle.
 const IN_PLACE: f64 = 0.01;
 
-/// A Catmull–Rom spline with centripetal knots (their spacing is the root of distance plus angle, each relative to its mean) through the positions of the keys, and the same of their rotations as
-/// quaternions, which are then normalised: both have continuous velocities. Frames are evenly spaced in arc length; where the
-/// camera turns in place, in angle. An open path begins with the first key and ends with the last, a closed one can be looped.
+/// Catmull–Rom spline with centripetal knots (whose spacing is the square root of distance plus angle, each relative to
+/// its mean) through the keys' positions, and likewise through their rotations as quaternions, which are then
+/// normalised: both have continuous velocities. Frames are evenly spaced in arc length, or in angle where the camera
+/// turns in place. An open path begins at the first key and ends at the last; a closed one can be looped.
 ///
 /// # Errors
-/// With fewer than two views, or if these are all the same.
+/// If there are fewer than two views, or all are equal.
 pub fn spline(views: &[Camera], options: &Spline, shot: &Shot) -> Result<Vec<Camera>, PathError> {
     let k = intrinsics(views, shot)?;
     let keys = Keys::new(&pick(views, options), options.closed)?;
@@ -43,7 +44,7 @@ pub fn spline(views: &[Camera], options: &Spline, shot: &Shot) -> Result<Vec<Cam
     let spans = if options.closed { shot.frames } else { shot.frames.saturating_sub(1).max(1) };
     let frame = |i: usize| {
         let at = total * i as f64 / spans as f64;
-        // The last entry at or before it, and how far it is to the next.
+        // `low`: last table entry at or before `at`; `part`: fraction of the way to the next entry.
         let low = table.partition_point(|&s| s <= at).saturating_sub(1).min(table.len() - 2);
         let part = ((at - table[low]) / (table[low + 1] - table[low]).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
         let (segment, u) = (low / CHORDS, (low % CHORDS) as f64 + part);
@@ -62,13 +63,13 @@ fn pick(views: &[Camera], options: &Spline) -> Vec<Camera> {
     (0..count).map(|i| views[(i * last + spans / 2) / spans]).collect()
 }
 
-/// A centre and a camera→world rotation.
+/// Camera centre and camera→world rotation.
 type Key = (DVec3, DQuat);
 
 /// Keys in order, without repetitions.
 struct Keys {
     positions: Vec<DVec3>,
-    /// Camera→world.
+    /// Camera→world rotations.
     rotations: Vec<DQuat>,
     /// Knot spacing of every segment.
     spacing: Vec<f64>,
@@ -80,7 +81,7 @@ impl Keys {
         let mut keys: Vec<Key> = vec![];
         let pose = |view: &Camera| (view.center(), DQuat::from_mat3(&view.rotation().transpose()).normalize());
         let is_same = |a: &Key, b: &Key| a.0 == b.0 && angle(a.1, b.1) < 1e-9;
-        // Centres are computed: one place may have several roundings.
+        // Centres are computed from poses: the same place may differ by rounding.
         let rounding = ROUNDING * views.iter().map(|view| view.center().length()).fold(0.0, f64::max);
         for mut key in views.iter().map(pose) {
             if let Some(last) = keys.last().filter(|last| last.0.distance(key.0) <= rounding) {
@@ -113,12 +114,13 @@ impl Keys {
         };
         let chords = steps(&|i, j| positions[i].distance(positions[j]));
         let angles = steps(&|i, j| angle(rotations[i], rotations[j]));
-        // Centripetal, of both: else a turn in place would take no time and throw its neighbours about.
+        // Centripetal in distance and angle: if only distance counted, a turn in place would take no time and distort
+        // the neighbouring segments.
         let spacing = chords.into_iter().zip(angles).map(|(chord, angle)| (chord + angle).sqrt()).collect();
         Ok(Self { positions, rotations, spacing, closed })
     }
 
-    /// Centre and camera→world rotation at `u` in [0, 1] of a segment.
+    /// Camera centre and camera→world rotation at parameter `u` in [0, 1] of a segment.
     fn at(&self, segment: usize, u: f64) -> (DVec3, DQuat) {
         let n = self.positions.len();
         let key = |offset: isize| -> Option<usize> {
@@ -138,7 +140,7 @@ impl Keys {
         } else {
             hermite(key(-1).map(p), p(here), p(next), key(2).map(p), spacing, u)
         };
-        // q and −q are one rotation: neighbours are taken on the same side.
+        // q and −q are the same rotation: neighbours are flipped into the same hemisphere.
         let near = |i: usize, to: DVec4| {
             let q = DVec4::from_array(self.rotations[i].to_array());
             if q.dot(to) < 0.0 { -q } else { q }
@@ -146,12 +148,12 @@ impl Keys {
         let a = DVec4::from_array(self.rotations[here].to_array());
         let b = near(next, a);
         let q = hermite(key(-1).map(|i| near(i, a)), a, b, key(2).map(|i| near(i, b)), spacing, u);
-        // Overshoot of wild keys could meet the origin.
+        // Overshoot between widely differing keys could pass near the origin.
         let q = if q.length() > 1e-3 { q } else { a.lerp(b, u) };
         (position, DQuat::from_array(q.to_array()).normalize())
     }
 
-    /// Length of the path up to every point between chords, from 0.
+    /// Cumulative path length at every chord endpoint, from 0.
     fn lengths(&self) -> Vec<f64> {
         let parts: Vec<Vec<(f64, f64)>> = (0..self.spacing.len())
             .map(|segment| {
@@ -161,7 +163,7 @@ impl Keys {
             .collect();
         let sum = |parts: &mut dyn Iterator<Item = &(f64, f64)>| parts.fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
         let sums = sum(&mut parts.iter().flatten());
-        // What a radian counts for where nothing else moves: as much as it does on the path as a whole.
+        // Length equivalent of a radian where the camera only turns: the ratio of length to angle over the whole path.
         let per_radian = if sums.0 > 0.0 && sums.1 > 0.0 { sums.0 / sums.1 } else { 1.0 };
         let mut table = vec![0.0];
         for segment in parts {
@@ -175,7 +177,7 @@ impl Keys {
     }
 }
 
-/// Between 0 and π; exact for small angles, unlike the cosine's inverse.
+/// Angle between two rotations, 0 to π; accurate for small angles, unlike the inverse cosine.
 fn angle(a: DQuat, b: DQuat) -> f64 {
     let d = a.conjugate() * b;
     2.0 * d.xyz().length().atan2(d.w.abs())
@@ -184,12 +186,12 @@ fn angle(a: DQuat, b: DQuat) -> f64 {
 trait Vector: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<f64, Output = Self> {}
 impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f64, Output = T>> Vector for T {}
 
-/// Between `b` and `c`, whose other neighbours are `a` and `d`; an end without one has no curvature. `spacing` is that of knots
-/// between the four.
+/// Cubic Hermite interpolation between `b` and `c`, whose outer neighbours are `a` and `d`; an end without a neighbour
+/// has zero curvature. `spacing` is the knot spacing between the four.
 fn hermite<V: Vector>(a: Option<V>, b: V, c: V, d: Option<V>, spacing: [f64; 3], u: f64) -> V {
     let [before, own, after] = spacing;
     let slope = (c - b) * own.recip();
-    // Velocity at a key of the parabola through it and its neighbours.
+    // Velocity at a key of the parabola through the key and its neighbours.
     let through = |first: V, h0: f64, second: V, h1: f64| (first * h1 + second * h0) * (h0 + h1).recip();
     let start = a.map(|a| through((b - a) * before.recip(), before, slope, own));
     let end = d.map(|d| through(slope, own, (d - c) * after.recip(), after));

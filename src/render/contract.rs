@@ -1,6 +1,6 @@
-//! The composition rule as plain functions: what a splat and a mesh fragment contribute at a pixel, and which of
-//! them is in front. Splats are those of 3DGS, textured layers among them and their stable order those of HERA; what these leave open is
-//! decided here, and stated for others in `schema/EXT_gaussian_splatting_hybrid/README.md`.
+//! The composition rule as plain functions: the contribution of a splat and of a mesh fragment at a pixel, and their
+//! order. Splats follow 3DGS; textured layers and the stable order follow HERA. What these leave open is decided here,
+//! and stated for other implementers in `schema/EXT_gaussian_splatting_hybrid/README.md`.
 //!
 //! [`super::reference`] is written with these functions; the shaders implement the same rule and are tested against
 //! it. All lengths are world units, all positions continuous pixels, all depths camera-space z.
@@ -14,24 +14,26 @@
 //! added and ends its bucket. Mesh fragments are always added: there are few, and dropping an opaque one would show
 //! the background through it.
 //!
-//! **Rays.** [`ImageModel::Ray`] shares the limits of alpha, the culling of means before the near plane and the choice of
-//! fragments (the composition's nearest layers). It has no pixel filter, no thresholds and no stop; a splat whose peak along a
-//! ray is not beyond the near plane does not contribute there, and one whose peak is at the depth of a fragment is in front.
+//! **Rays.** [`ImageModel::Ray`] shares the limits of alpha, the culling of means before the near plane and the choice
+//! of fragments (the composition's nearest layers). It has no pixel filter, no thresholds and no stop. A splat does not
+//! contribute along a ray on which its peak is not beyond the near plane; a peak at the depth of a fragment is in front
+//! of it.
 
 use glam::{DMat2, DVec2, DVec3};
 
 use crate::scene::{Intrinsics, OrderMode, PixelFilter, sigmoid};
 
-/// Largest alpha of a splat at a pixel, so that 1 − α can be divided by. INRIA 3DGS, `cuda_rasterizer/forward.cu`. Where it is
-/// reached the derivative of alpha is zero.
+/// Largest alpha of a splat at a pixel, so that division by 1 − α is safe. INRIA 3DGS, `cuda_rasterizer/forward.cu`.
+/// Where the cap applies the derivative of alpha is zero.
 pub const ALPHA_CAP: f64 = 0.99;
 
-/// A splat contributes at a pixel iff its alpha is at least this: one step of an 8-bit image (INRIA 3DGS,
-/// `cuda_rasterizer/forward.cu`). It is the only limit of a splat's extent (no 3σ cut), but that kernels
-/// of projected splats, which count in single precision, leave out what reaches 10⁶ pixels from its centre or has that 10⁷ pixels away.
+/// Least alpha at which a splat contributes at a pixel: one step of an 8-bit image (INRIA 3DGS,
+/// `cuda_rasterizer/forward.cu`). It is the only limit of a splat's extent (no 3σ cut), except that kernels of
+/// projected splats, which compute in single precision, leave out splats that reach 10⁶ pixels from their centre or
+/// have it 10⁷ pixels away.
 pub const ALPHA_CUT: f64 = 1.0 / 255.0;
 
-/// Transmittance below which nothing more is added. INRIA 3DGS, `cuda_rasterizer/forward.cu`.
+/// Transmittance below which no more splats are added. INRIA 3DGS, `cuda_rasterizer/forward.cu`.
 pub const TRANSMITTANCE_STOP: f64 = 1e-4;
 
 /// Largest alpha of a mesh fragment, for the same reason as [`ALPHA_CAP`].
@@ -41,22 +43,22 @@ pub const MESH_ALPHA_CAP: f64 = 1.0 - 1e-4;
 /// visible.
 pub const TIE_EPSILON: f64 = 1e-5;
 
-/// How far outside the image, in half images, the projection is linearised at the splat's own mean. gsplat; the
-/// same as INRIA 3DGS where the principal point is centred.
+/// Margin around the image, in half images, within which the projection is linearised at the splat's own mean. gsplat;
+/// the same as INRIA 3DGS where the principal point is centred.
 pub const JACOBIAN_MARGIN: f64 = 0.3;
 
 /// Largest number of mesh layers per pixel.
 pub const MAX_LAYERS: usize = 4;
 
-/// What a Gaussian looks like.
+/// Image model: how a Gaussian contributes to pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageModel {
-    /// Its projection is linearised at its mean and widened by the scene's [`PixelFilter`]; splats are ordered by the depths of their
-    /// means and against mesh layers by the scene's mode. What training uses.
+    /// EWA splatting: the projection is linearised at the mean and widened by the scene's [`PixelFilter`]; splats are
+    /// ordered by the depths of their means, and against mesh layers by the scene's mode. Used in training.
     #[default]
     Ewa,
-    /// Its largest value along the pixel's own ray, see [`ray_peak`]; splats are ordered by the depths at which they have
-    /// it, and against mesh fragments by the depths of these. What ray tracers do (3DGRT, Mitsuba's `volprim_rf_basic`).
+    /// Largest value along the pixel's own ray, see [`ray_peak`]; splats are ordered by the depths of these peaks, and
+    /// against mesh fragments by the fragments' depths. As in ray tracers (3DGRT, Mitsuba's `volprim_rf_basic`).
     Ray(ShDirection),
 }
 
@@ -66,25 +68,25 @@ pub enum ShDirection {
     /// From the camera's centre to the mean: one colour per splat and picture, as in training.
     #[default]
     Mean,
-    /// Of the pixel's ray.
+    /// Direction of the pixel's ray.
     Ray,
 }
 
 /// The largest value of a Gaussian along a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RayPeak {
-    /// Where it is, in lengths of the ray's direction; camera-space z if that has z = 1.
+    /// Depth of the peak, in lengths of the ray's direction; camera-space z if that has z = 1.
     pub depth: f64,
-    /// Its logarithm, ≤ 0: minus half the squared distance to the mean in standard deviations.
+    /// Logarithm of the value, ≤ 0: minus half the squared distance to the mean in standard deviations.
     pub power: f64,
 }
 
-/// The peak along the ray from `origin` in `direction`, both in the splat's own frame and in units of its standard
-/// deviations: S⁻¹Rᵀ(c − μ) and S⁻¹Rᵀr.
+/// Peak of a Gaussian along the ray from `origin` in `direction`, both in the splat's own frame and in units of its
+/// standard deviations: S⁻¹Rᵀ(c − μ) and S⁻¹Rᵀr.
 #[must_use]
 pub fn ray_peak(origin: DVec3, direction: DVec3) -> RayPeak {
     let depth = -origin.dot(direction) / direction.length_squared();
-    // The distance by the cross product: o + t·d cancels where a splat is thin.
+    // Distance from the cross product: computing o + t·d would cancel where a splat is thin.
     RayPeak { depth, power: -0.5 * origin.cross(direction).length_squared() / direction.length_squared() }
 }
 
@@ -96,7 +98,7 @@ pub fn filter_opacity(filter: PixelFilter, covariance: DMat2) -> f64 {
     if filter.normalized { (covariance.determinant().max(0.0) / widened.determinant()).sqrt() } else { 1.0 }
 }
 
-/// Range of (x/z, y/z) to which a mean is clamped before the projection is linearised there, as (min, max).
+/// Range (min, max) of (x/z, y/z) to which a mean is clamped before the projection is linearised there.
 #[must_use]
 pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
     let size = k.size();
@@ -105,12 +107,13 @@ pub fn jacobian_limits(k: &Intrinsics) -> (DVec2, DVec2) {
     ((-principal - margin) / focal, (size - principal + margin) / focal)
 }
 
-/// Alpha of a splat of this opacity at a pixel where its Gaussian is e^`power`; `None` where it does not contribute. A power above 0
-/// is one of 0 after rounding; INRIA 3DGS skips such pixels (`cuda_rasterizer/forward.cu`), which leaves holes along needles.
+/// Alpha of a splat of this opacity at a pixel where its Gaussian is e^`power`; `None` if it does not contribute. A
+/// power above 0 is due to rounding and counts as 0; INRIA 3DGS skips such pixels (`cuda_rasterizer/forward.cu`), which
+/// leaves holes along needles.
 #[must_use]
 pub fn splat_alpha(opacity: f64, power: f64) -> Option<f64> {
     let alpha = (opacity * power.min(0.0).exp()).min(ALPHA_CAP);
-    // `min` takes the other for what is no number.
+    // `f64::min` ignores NaN.
     (alpha >= ALPHA_CUT && !power.is_nan()).then_some(alpha)
 }
 
@@ -153,11 +156,12 @@ pub(super) fn bilinear_taps(uv: DVec2, size: [u32; 2]) -> [([u32; 2], f64); 4] {
     ]
 }
 
-/// Samples a layer's depth image (`depth_at([x, y])` at pixel centres, 0 = empty; `size` = width and height) at `uv`.
+/// Depth of a layer at `uv`, interpolated in its depth image (`depth_at([x, y])` at pixel centres, 0 = empty; `size` =
+/// width and height).
 ///
-/// Interpolates 1/z, which is exact on a plane, over the taps that have depth. Where these differ by more than
-/// `lambda` there is an edge, and the nearest tap alone decides: an average across it is on no surface. Among equal
-/// weights the first tap in row order wins.
+/// Interpolates 1/z, which is exact on a plane, over the taps that have depth. If these differ by more than `lambda`
+/// there is an edge, and the tap of largest weight alone decides, as an average across the edge lies on no surface.
+/// Among equal weights the first tap in row order wins.
 #[must_use]
 pub fn surface_depth(depth_at: impl Fn([u32; 2]) -> f64, size: [u32; 2], uv: DVec2, lambda: f64) -> SurfaceDepth {
     let inside = (0.0..f64::from(size[0])).contains(&uv.x) && (0.0..f64::from(size[1])).contains(&uv.y);
@@ -178,7 +182,7 @@ pub fn surface_depth(depth_at: impl Fn([u32; 2]) -> f64, size: [u32; 2], uv: DVe
     SurfaceDepth::Depth(weight / inverse)
 }
 
-/// The thresholds of a splat with depth `z`, one per layer: it is behind layer i at a pixel iff the layer's depth
+/// Thresholds of a splat with depth `z`, one per layer: the splat is behind layer i at a pixel iff the layer's depth
 /// there is below the i-th.
 ///
 /// `samples` holds the layers' [`surface_depth`]s, nearest layer first, at most [`MAX_LAYERS`]; [`OrderMode::Direct`]
@@ -217,11 +221,11 @@ fn is_beyond(z: f64, surface: f64) -> bool {
 }
 
 /// The rule "follow the decision made at the surface nearest to the pixel's depth d if it is within λ of d, else
-/// compare z with d" as one threshold on d, the same for every layer.
+/// compare z with d", as one threshold on d, the same for every layer.
 ///
-/// Only two surfaces matter: the last one the mean is beyond and the first one it is not. Around the former the rule
-/// says "behind" up to `upper`, around the latter it says "in front" from `lower` on, and the mean of the two depths
-/// is where the nearest surface changes.
+/// Only two surfaces matter: the last one that the mean is beyond and the first one that it is not. Around the former
+/// the rule says "behind" up to `upper`, around the latter "in front" from `lower` on, and half-way between the two
+/// depths the nearest surface changes.
 fn surface_consistent_threshold(z: f64, samples: &[SurfaceDepth], lambda: f64) -> f64 {
     let surfaces = samples.iter().filter_map(|s| if let SurfaceDepth::Depth(d) = s { Some(*d) } else { None });
     // Interpolation across edges can leave the samples unsorted.

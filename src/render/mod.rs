@@ -1,4 +1,4 @@
-//! From a scene and a camera to pixels.
+//! Rendering: from a scene and a camera to pixels.
 
 pub mod contract;
 pub mod gpu;

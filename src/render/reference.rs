@@ -27,8 +27,8 @@ pub use parameters::{Parameter, Parameters, finite_difference};
 use super::contract::{self, MAX_LAYERS, SurfaceDepth};
 use crate::scene::{Camera, HybridScene, sh, sigmoid, smoothed};
 
-/// A rendered image, row-major from the top; or, as the input of [`backward`], the derivative of a loss with respect
-/// to each of its numbers.
+/// A rendered image, row-major from the top; or, as the input of [`backward`], the derivative of a loss with respect to
+/// each of its values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// Width in pixels.
@@ -37,12 +37,12 @@ pub struct Image {
     pub height: usize,
     /// Colour over the scene's background, in the scene's blending space, not clamped. `[height·width]`
     pub rgb: Vec<[f64; 3]>,
-    /// What is left of the background: 1 − accumulated alpha. `[height·width]`
+    /// Weight of the background: 1 − accumulated alpha. `[height·width]`
     pub transmittance: Vec<f64>,
 }
 
 impl Image {
-    /// Sum of the products of all numbers of two images of one size.
+    /// Dot product of all values of two images of one size.
     #[must_use]
     pub fn dot(&self, other: &Self) -> f64 {
         let rgb = self.rgb.as_flattened().iter().zip(other.rgb.as_flattened());
@@ -50,7 +50,7 @@ impl Image {
     }
 }
 
-/// What one mesh layer contributes to a pixel.
+/// Contribution of a mesh layer to a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fragment {
     /// Camera-space z.
@@ -62,29 +62,29 @@ pub struct Fragment {
 }
 
 impl Fragment {
-    /// As the `i`-th layer of a pixel. Its transmittance is not set.
+    /// The fragment as the `i`-th layer of a pixel, with transmittance not yet set.
     fn contribution(&self, i: usize) -> Contribution {
         let (source, color) = (Source::Layer(i), DVec3::from(self.color));
         Contribution { source, depth: self.depth, alpha: self.alpha, color, transmittance: 0.0 }
     }
 }
 
-/// A splat as an image sees it.
+/// A splat projected into an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projected {
-    /// Which splat of the scene it is.
+    /// Index of the splat in the scene.
     pub index: usize,
     /// Continuous pixel position of the mean.
     pub center: DVec2,
     /// Projected covariance with the pixel filter, px².
     pub covariance: DMat2,
-    /// Its inverse, 1/px².
+    /// Inverse of the covariance, 1/px².
     pub conic: DMat2,
-    /// Half width and height of the box around all that contributes, px.
+    /// Half width and height of the box around all pixels it contributes to, px.
     pub extent: DVec2,
     /// Camera-space z of the mean.
     pub depth: f64,
-    /// 0 to 1: that of the splat times what smoothing and the pixel filter leave of it.
+    /// Opacity, 0 to 1, after smoothing and the pixel filter.
     pub opacity: f64,
     /// RGB, ≥ 0.
     pub color: DVec3,
@@ -149,7 +149,7 @@ fn rotation([w, x, y, z]: [f64; 4]) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
 }
 
-/// `t` with x/z and y/z clamped to where the projection is linearised.
+/// x and y of `t` after clamping x/z and y/z to the range in which the projection is linearised.
 fn clamped(camera: &Camera, t: DVec3) -> DVec2 {
     let (min, max) = contract::jacobian_limits(camera.intrinsics());
     t.z * (t.truncate() / t.z).clamp(min, max)
@@ -177,7 +177,7 @@ fn radiance_along(scene: &HybridScene, parameters: &Parameters, i: usize, direct
     0.5 + terms.take(coefficients).map(|(y, sh)| y * *sh).sum::<DVec3>()
 }
 
-/// What a pixel's list is made of.
+/// Origin of an entry of a pixel's list.
 #[derive(Clone, Copy, PartialEq)]
 enum Source {
     /// Index into [`View::splats`], and the pixel's offset from the splat's centre.
@@ -198,16 +198,16 @@ struct Contribution {
     transmittance: f64,
 }
 
-/// Everything about a scene that a camera sees.
+/// A scene as seen by a camera.
 struct View<'a> {
     camera: &'a Camera,
     hits: Vec<Vec<mesh::Hit>>,
     layers: Vec<Vec<Fragment>>,
-    /// By (depth, index), with the thresholds of their order among the layers.
+    /// Splats sorted by (depth, index), with their order thresholds among the layers.
     splats: Vec<(Projected, [f64; MAX_LAYERS])>,
 }
 
-/// What every pixel's ray meets of the meshes, and how that looks.
+/// Hits of every pixel's ray with the meshes, and their shaded fragments.
 fn fragments(
     scene: &HybridScene,
     camera: &Camera,
@@ -246,8 +246,8 @@ impl<'a> View<'a> {
         Image { width: k.width as usize, height: k.height as usize, rgb, transmittance }
     }
 
-    /// All that covers a pixel, front to back, with its place in the order: bucket b is at 2b, the layer in front
-    /// of it at 2b − 1. Transmittances are not set.
+    /// Contributions to a pixel, front to back, with their place in the order: bucket b is at 2b, the layer in front of
+    /// it at 2b − 1. Transmittances are not set.
     fn ordered(&self, pixel: usize) -> Vec<(usize, Contribution)> {
         let position = pixel_center(self.camera, pixel);
         let layers = &self.layers[pixel];
@@ -255,7 +255,7 @@ impl<'a> View<'a> {
         let mut list = Vec::new();
         for (i, (splat, thresholds)) in self.splats.iter().enumerate() {
             let offset = position - splat.center;
-            // Only to be faster: with a pixel of slack the exact test alone decides.
+            // Only an acceleration: with a pixel of slack the exact test decides.
             if offset.abs().cmpgt(splat.extent + 1.0).any() {
                 continue;
             }
@@ -273,7 +273,7 @@ impl<'a> View<'a> {
         list
     }
 
-    /// The list of a pixel, front to back, without what the stop drops.
+    /// Contributions to a pixel, front to back, without those dropped by the stop.
     fn contributions(&self, pixel: usize) -> Vec<Contribution> {
         let mut list = self.ordered(pixel);
         let mut transmittance = 1.0;

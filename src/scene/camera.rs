@@ -4,9 +4,10 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::SceneError;
 
-/// Focal lengths in sides of the image: angles of view from 179.8° down to a microradian. What is beyond is a mistake.
+/// Valid focal lengths, in sides of the image: angles of view from 179.8° down to a microradian. Others are mistakes.
 const FOCAL_LENGTHS: RangeInclusive<f64> = 1e-3..=1e6;
-/// Principal points lie at most so many sides of the image away from its first corner: it may be cut out of a larger one.
+/// Largest distance of the principal point from the image's first corner, in sides of the image, which may be cut out
+/// of a larger one.
 const FARTHEST_CENTER: f64 = 1e3;
 
 /// Pinhole intrinsics in pixels. Pixel (i, j) covers `[i, i+1)×[j, j+1)`; its centre is at +0.5.
@@ -16,46 +17,48 @@ pub struct Intrinsics {
     pub width: u32,
     /// Image height.
     pub height: u32,
-    /// Focal length, horizontally.
+    /// Horizontal focal length, pixels.
     pub fx: f64,
-    /// Focal length, vertically.
+    /// Vertical focal length, pixels.
     pub fy: f64,
-    /// Principal point from the left edge.
+    /// Principal point, pixels from the left edge.
     pub cx: f64,
-    /// Principal point from the top edge.
+    /// Principal point, pixels from the top edge.
     pub cy: f64,
 }
 
 impl Intrinsics {
-    /// Most pixels a side of a picture that is asked for by its size, or that a camera without one is taken to have: what adapters with
+    /// Largest side, pixels, of a picture requested by size, or assumed for a camera without one: what adapters with
     /// the limits of Direct3D 12 hold as one texture.
     pub const MAX_PICTURE_SIDE: u32 = 16384;
 
-    /// Most pixels a side of an image that a file may ask for, as buffers are made for it: those of the largest photographs.
+    /// Largest side, pixels, of an image that a file may ask for, as buffers are allocated for it: that of the largest
+    /// photographs.
     pub const MAX_SIDE: u32 = 1 << 16;
-    /// Most pixels of one, 2²⁸: four times a 64-megapixel camera, 1 GiB decoded to bytes. What claims more is a mistake or an attack.
+    /// Largest number of pixels of such an image, 2²⁸: four times a 64-megapixel camera, 1 GiB decoded to bytes. Larger
+    /// claims are mistakes or attacks.
     pub const MAX_PIXELS: u64 = 1 << 28;
 
-    /// Whether an image is neither empty nor larger than that.
+    /// Whether an image size is neither empty nor beyond these limits.
     #[must_use]
     pub fn is_size(width: u32, height: u32) -> bool {
         let pixels = u64::from(width) * u64::from(height);
         width.max(height) <= Self::MAX_SIDE && (1..=Self::MAX_PIXELS).contains(&pixels)
     }
 
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     #[must_use]
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }
 
-    /// Width and height of the image, as lengths in it.
+    /// Width and height of the image, as continuous pixel coordinates.
     #[must_use]
     pub fn size(&self) -> DVec2 {
         DVec2::new(f64::from(self.width), f64::from(self.height))
     }
 
-    /// Pixels of the longer side.
+    /// Longer side of the image, pixels.
     #[must_use]
     pub fn longer_side(&self) -> u32 {
         self.width.max(self.height)
@@ -102,8 +105,9 @@ impl Camera {
     /// Validates and takes intrinsics and the world→camera pose. The rotation is made orthonormal.
     ///
     /// # Errors
-    /// If a number is not finite, the image is empty, a focal length is not between a thousandth and a million times its sides, the principal
-    /// point is farther away than a thousand of them, or the matrix is not close to a rotation (lengths and cosines of its axes within 1 % of 1 and 0, no mirroring).
+    /// If a number is not finite, the image is empty, a focal length is not between a thousandth and a million times
+    /// the image's side, the principal point is farther away than a thousand sides, or the matrix is not close to a
+    /// rotation (lengths and cosines of its axes within 1 % of 1 and 0, no mirroring).
     pub fn new(intrinsics: Intrinsics, rotation: DMat3, translation: DVec3) -> Result<Self, SceneError> {
         let k = &intrinsics;
         if k.width == 0 || k.height == 0 {
@@ -204,8 +208,8 @@ impl Camera {
         DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy)
     }
 
-    /// Where a camera-space point, or direction, is in the picture: its continuous pixel position, if it is in front and inside. Not if it
-    /// is not a number.
+    /// Continuous pixel position of a camera-space point, or direction, if it is in front of the camera and inside the
+    /// picture. `None` for NaN.
     #[must_use]
     pub fn in_picture(&self, p: DVec3) -> Option<DVec2> {
         let size = self.intrinsics.size();
@@ -220,7 +224,7 @@ impl Camera {
         DVec3::new((uv.x - k.cx) / k.fx, (uv.y - k.cy) / k.fy, 1.0)
     }
 
-    /// The same pose with `margin` pixels more on every side of the picture.
+    /// The camera with `margin` more pixels on every side of the picture.
     #[must_use]
     pub fn padded(&self, margin: u32) -> Self {
         let (k, m) = (self.intrinsics, f64::from(margin));
@@ -229,7 +233,7 @@ impl Camera {
         Self { intrinsics, ..*self }
     }
 
-    /// The same pose with the image resized to `width`×`height`.
+    /// The camera with its image resized to `width`×`height`.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         Self { intrinsics: self.intrinsics.resized(width.max(1), height.max(1)), ..*self }

@@ -1,5 +1,5 @@
-//! Values as pictures hold them: sRGB-encoded (IEC 61966-2-1), in 8 bits. Negative values, which only unclamped renders have, stay on the linear
-//! segment of the transfer function.
+//! Encoding of colour values in pictures: sRGB (IEC 61966-2-1), in 8 bits. Negative values, which only unclamped
+//! renders have, stay on the linear segment of the transfer function.
 
 /// Linear light from an encoded value.
 #[must_use]

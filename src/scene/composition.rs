@@ -1,7 +1,7 @@
 use super::SceneError;
 use super::color::{linear_to_srgb, srgb_to_linear};
 
-/// How the order of a splat and a mesh layer is decided. `render::contract` has the formulas.
+/// Rule for the order of a splat and a mesh layer. `render::contract` has the formulas.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub enum OrderMode {
@@ -12,14 +12,14 @@ pub enum OrderMode {
     /// As `Stable`, but a pixel follows the splat's decision only where its mesh depth is within λ of the depth
     /// that was decided on; elsewhere the mean is compared with the pixel's own depth.
     SurfaceConsistent,
-    /// The mean is compared with every pixel's own mesh depth (the paper's ablation; order flickers).
+    /// The mean is compared with every pixel's own mesh depth (the paper's ablation; the order flickers).
     Direct,
 }
 
 impl OrderMode {
     pub(crate) const ALL: [Self; 3] = [Self::Stable, Self::SurfaceConsistent, Self::Direct];
 
-    /// Its name in files and reports, which is also serde's.
+    /// Name in files and reports, equal to serde's.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -33,7 +33,7 @@ impl OrderMode {
 /// Space in which colours are stored and blended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ColorSpace {
-    /// sRGB-encoded, Rec. 709 primaries (`srgb_rec709_display`): what photographs are trained in.
+    /// sRGB-encoded, Rec. 709 primaries (`srgb_rec709_display`): the space of photographs, used in training.
     #[default]
     SrgbDisplay,
     /// Linear light, Rec. 709 primaries (`lin_rec709_display`).
@@ -41,10 +41,10 @@ pub enum ColorSpace {
 }
 
 impl ColorSpace {
-    /// All of them, the default first.
+    /// All spaces, the default first.
     pub const ALL: [Self; 2] = [Self::SrgbDisplay, Self::LinearDisplay];
 
-    /// Its name in glTF, in headers of EXR and in reports.
+    /// Name in glTF, in EXR headers and in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -53,7 +53,7 @@ impl ColorSpace {
         }
     }
 
-    /// A colour of this space in sRGB, as pictures of 8 bits are.
+    /// Converts a colour of this space to sRGB, as in 8-bit pictures.
     #[must_use]
     pub fn to_srgb(self, rgb: [f32; 3]) -> [f32; 3] {
         match self {
@@ -62,7 +62,7 @@ impl ColorSpace {
         }
     }
 
-    /// A colour of this space in linear light.
+    /// Converts a colour of this space to linear light.
     #[must_use]
     pub fn to_linear(self, rgb: [f32; 3]) -> [f32; 3] {
         match self {
@@ -71,7 +71,7 @@ impl ColorSpace {
         }
     }
 
-    /// Linear light as a colour of this space.
+    /// Converts linear light to a colour of this space.
     #[must_use]
     pub fn from_linear(self, rgb: [f32; 3]) -> [f32; 3] {
         match self {
@@ -81,22 +81,24 @@ impl ColorSpace {
     }
 }
 
-/// How the projections of splats are fitted to the pixels of a picture, which are not points.
+/// Filter that fits projected splats to pixels of finite size.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PixelFilter {
-    /// Added to both diagonal entries of a projected covariance, px²: every splat is at least about a pixel wide.
+    /// Variance added to both diagonal entries of a projected covariance, px²: every splat is at least about a pixel
+    /// wide.
     pub variance: f32,
-    /// Whether a splat keeps its integral over the picture: its opacity is multiplied by √(det Σ / det(Σ + variance·I)), so
-    /// that one far smaller than a pixel fades instead of growing. Named *antialiased* by many programs.
+    /// Whether a splat keeps its integral over the picture: its opacity is multiplied by √(det Σ / det(Σ +
+    /// variance·I)), so that one far smaller than a pixel fades instead of growing. Many programs call this
+    /// *antialiased*.
     pub normalized: bool,
 }
 
 impl PixelFilter {
-    /// That of INRIA 3DGS (`cuda_rasterizer/forward.cu`), which almost all files are made for.
+    /// Filter of INRIA 3DGS (`cuda_rasterizer/forward.cu`), for which almost all files are made.
     pub const DILATION: Self = Self { variance: 0.3, normalized: false };
-    /// That of Mip-Splatting, its 2-D filter: about the box of a pixel.
+    /// Mip-Splatting's 2-D filter: about the box of a pixel.
     pub const MIP: Self = Self { variance: 0.1, normalized: true };
-    /// That of programs which know one bit, *antialiased*: gsplat, SPZ, SOG.
+    /// Filter of programs with a single bit *antialiased*: gsplat, SPZ, SOG.
     pub const NORMALIZED_DILATION: Self = Self { normalized: true, ..Self::DILATION };
 }
 
@@ -106,7 +108,7 @@ impl Default for PixelFilter {
     }
 }
 
-/// Everything that turns splats and meshes into pixels besides their own parameters.
+/// Parameters of compositing that belong neither to splats nor to meshes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Composition {
     /// Rule of depth order.
@@ -118,11 +120,11 @@ pub struct Composition {
     pub layers: u32,
     /// Space of blending.
     pub color_space: ColorSpace,
-    /// RGB behind everything, in `color_space`.
+    /// RGB of the background, in `color_space`.
     pub background: [f32; 3],
     /// Splats with depth ≤ `near` are culled; mesh fragments likewise. World units.
     pub near: f32,
-    /// What splats are widened by.
+    /// Filter that widens projected splats.
     pub pixel_filter: PixelFilter,
 }
 
@@ -141,9 +143,11 @@ impl Default for Composition {
 }
 
 impl Composition {
+    /// Checks all values.
+    ///
     /// # Errors
-    /// If λ is negative or NaN, `layers` is not 1, 2 or 4, `near` is not positive, the variance of the
-    /// pixel filter negative, or a number other than λ not finite.
+    /// If λ is negative or NaN, `layers` is not 1, 2 or 4, `near` is not positive, the variance of the pixel filter is
+    /// negative, or a number other than λ is not finite.
     pub fn validate(&self) -> Result<(), SceneError> {
         if self.lambda.is_nan() || self.lambda < 0.0 {
             return Err(SceneError::new("lambda", "a number ≥ 0", self.lambda.to_string()));

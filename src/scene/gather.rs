@@ -1,7 +1,7 @@
 use super::{Splats, sh};
 
-/// The splats of these indices, in their order. An index may come more than once. A selection in ascending order, or
-/// another order of all, takes no memory besides.
+/// Selects the splats of these indices, in their order. An index may be repeated. Ascending indices, or a permutation
+/// of all, are applied in place.
 ///
 /// # Panics
 /// If an index is out of range.
@@ -47,7 +47,7 @@ impl<'a> Order<'a> {
         if once && indices.len() == count { Self::Permutation(indices) } else { Self::Any(indices) }
     }
 
-    /// Leaves the rows of these indices, of `width` elements each.
+    /// Replaces rows of `width` elements each by the rows of these indices.
     fn apply<T: Copy>(&self, rows: &mut Vec<T>, width: usize) {
         let row = |i: usize| i * width..(i + 1) * width;
         match *self {
@@ -61,7 +61,7 @@ impl<'a> Order<'a> {
                     if placed[start] {
                         continue;
                     }
-                    // Round the cycle: each row makes room for the one that is to come there.
+                    // Follows the cycle: each row makes room for the one that moves there.
                     let first = rows[row(start)].to_vec();
                     let mut to = start;
                     while indices[to] != start {

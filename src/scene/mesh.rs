@@ -8,7 +8,7 @@ use super::{SceneError, check_finite, check_len, sh};
 ///
 /// Texel (i, j) has its centre at UV ((i+½)/width, (j+½)/height); UV (0, 0) is the top-left corner, as in glTF.
 ///
-/// Copies share their texels, so that many meshes may show one image.
+/// Clones share their texels, so that many meshes may show one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Texture {
     width: u32,
@@ -18,7 +18,7 @@ pub struct Texture {
 }
 
 impl Texture {
-    /// Most texels a side: those of the largest texture of Direct3D 12.
+    /// Largest side, texels: that of Direct3D 12 textures.
     pub const MAX_SIDE: u32 = 16384;
 
     /// Validates and takes `texels` `[height·width·channels]`.
@@ -35,7 +35,7 @@ impl Texture {
         Ok(Self { width, height, channels, texels: Arc::new(texels) })
     }
 
-    /// A texture of zeros, its sides by [`Self::nearest_side`].
+    /// A texture of zeros, with sides limited by [`Self::nearest_side`].
     #[must_use]
     pub fn zeros(width: u32, height: u32, channels: u32) -> Self {
         let [width, height] = [width, height].map(Self::nearest_side);
@@ -43,7 +43,7 @@ impl Texture {
         Self { width, height, channels, texels: Arc::new(texels) }
     }
 
-    /// `side`, or the nearest that a texture may have: 1 to [`Self::MAX_SIDE`].
+    /// `side`, clamped to the valid range, 1 to [`Self::MAX_SIDE`].
     #[must_use]
     pub fn nearest_side(side: u32) -> u32 {
         side.clamp(1, Self::MAX_SIDE)
@@ -73,8 +73,8 @@ impl Texture {
         &self.texels
     }
 
-    /// Mip levels for trilinear sampling: halving while both sides stay even, at most [`Self::MAX_LEVELS`], so that
-    /// every coarser texel is the exact mean of 2×2 finer ones and charts do not bleed far.
+    /// Number of mip levels for trilinear sampling: halving while both sides stay even, at most [`Self::MAX_LEVELS`],
+    /// so that every coarser texel is the exact mean of 2×2 finer ones and charts do not bleed far.
     #[must_use]
     pub fn mip_levels(&self) -> u32 {
         Self::mip_levels_of(self.width, self.height)
@@ -86,7 +86,7 @@ impl Texture {
         (1 + width.trailing_zeros().min(height.trailing_zeros())).min(Self::MAX_LEVELS)
     }
 
-    /// Cap on mip levels, as charts are packed densely. Charts `n` texels apart mix from level log₂ n on.
+    /// Largest number of mip levels, as charts are packed densely. Charts `n` texels apart mix from level log₂ n on.
     pub const MAX_LEVELS: u32 = 5;
 }
 
@@ -196,7 +196,7 @@ impl Mesh {
         &self.triangles
     }
 
-    /// Number of floats of positions and textures, by which a budget counts a mesh, whether training moves it or not.
+    /// Number of floats of positions and textures, as counted by budgets, whether training changes them or not.
     #[must_use]
     pub fn floats(&self) -> usize {
         self.atlas.floats() + 3 * self.positions.len()
@@ -228,7 +228,8 @@ impl Mesh {
         Self { atlas, ..self }
     }
 
-    /// The triangles to `keep`, and the vertices that they use, each in the order that they had; `None` if there are none.
+    /// The mesh reduced to the triangles to `keep`, and the vertices that they use, in their previous order; `None` if
+    /// no triangle is left.
     ///
     /// # Panics
     /// If there is not one `keep` per triangle.

@@ -1,4 +1,4 @@
-//! What a hybrid scene *is*: plain, validated data. No file formats, no GPU.
+//! Hybrid scenes as plain, validated data. No file formats, no GPU.
 //!
 //! Frames and units: world space is right-handed and has the capture's own unit of length. Camera space is
 //! OpenCV's (x right, y down, z forward); **depth always means camera-space z**, for splats and meshes alike.
@@ -35,7 +35,7 @@ pub use smoothing::smoothed;
 pub(crate) use smoothing::smoothed_parameters;
 pub use splats::{SplatArrays, Splats};
 
-/// What is put somewhere has coordinates below this, in world units: f32, in which distances are squared now and then, end at 3e38.
+/// Largest coordinate given to generated geometry, world units: its square still fits in f32.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e18;
 
 /// 1/(1+e⁻ˣ): from a logit, as opacities are kept, to an opacity.
@@ -61,7 +61,7 @@ pub struct HybridScene {
     pub splats: Splats,
     /// The textured, semi-transparent meshes; may be empty, in which case the scene is plain 3DGS.
     pub meshes: Vec<Mesh>,
-    /// How both are put into one depth order and blended.
+    /// Rule by which both are put into one depth order and blended.
     pub composition: Composition,
 }
 
@@ -76,16 +76,16 @@ impl HybridScene {
     }
 }
 
-/// A value that cannot be part of a scene, nor of the options, checkpoints and weights that scenes come from: the field, and what is wrong
-/// with it.
+/// Error for a value that is not valid in a scene, nor in the options, checkpoints and weights that scenes come from:
+/// the field, and what is wrong with it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct SceneError {
     /// Name of the field, with an index where one element is at fault: `means[17]`.
     pub field: String,
-    /// What would have been accepted.
+    /// What is expected.
     pub expected: String,
-    /// What was there.
+    /// What was found.
     pub found: String,
 }
 
@@ -95,7 +95,7 @@ impl SceneError {
     }
 }
 
-/// Error unless `array` has `expected` elements.
+/// Checks that an array has `expected` elements.
 fn check_len(field: &str, found: usize, expected: usize) -> Result<(), SceneError> {
     if found == expected {
         return Ok(());
@@ -103,9 +103,9 @@ fn check_len(field: &str, found: usize, expected: usize) -> Result<(), SceneErro
     Err(SceneError::new(field, format!("{expected} elements"), format!("{found}")))
 }
 
-/// Error naming the first element of `values` (rows of `width` floats) that is not finite.
+/// Checks that all `values` (rows of `width` floats) are finite; the error names the first row that is not.
 fn check_finite(field: &str, values: &[f32], width: usize) -> Result<(), SceneError> {
-    // In blocks that are looked at as a whole first: without an early exit the loop is vectorised.
+    // Whole blocks are checked first: without an early exit the loop is vectorised.
     const BLOCK: usize = 1 << 14;
     let at_fault = values.par_chunks(BLOCK).enumerate().find_map_first(|(block, values)| {
         let finite = values.iter().fold(true, |all, v| all & v.is_finite());

@@ -3,8 +3,8 @@ use rayon::prelude::*;
 
 use super::Splats;
 
-/// All indices in the order of a Morton curve through the cube around the means, 2²¹ cells a side: neighbours in space
-/// come to lie together, which compresses and renders better. Splats of one cell keep their order.
+/// All indices in the order of a Morton curve through the bounding cube of the means, 2²¹ cells a side: neighbours in
+/// space become neighbours in memory, which compresses and renders better. Splats of one cell keep their order.
 #[must_use]
 pub fn in_morton_order(splats: &Splats) -> Vec<usize> {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -23,7 +23,7 @@ pub fn in_morton_order(splats: &Splats) -> Vec<usize> {
     keys.into_iter().map(|(_, i)| i).collect()
 }
 
-/// Two zeros before each of 21 bits.
+/// Inserts two zeros before each of 21 bits.
 fn spread(bits: u64) -> u64 {
     let mut x = bits;
     for (shift, mask) in [

@@ -1,17 +1,17 @@
-//! The point that cameras look at together.
+//! Common point of cameras' optical axes.
 
 use glam::{DMat3, DVec3};
 
 use super::Camera;
 
-/// Least determinant of the mean of I − d dᵀ over the directions d of axes at which these meet in a point. It is about the
-/// square of the angle, in radians, by which directions spread: half a degree.
+/// Least determinant of the mean of I − d dᵀ, over the directions d of axes, at which these count as meeting in a
+/// point. It is about the square of the angle, in radians, by which directions spread: half a degree.
 const LEAST_SPREAD: f64 = 1e-4;
-/// Weight of a point that is expected, beside axes that weigh 1 together.
+/// Weight of an expected point, relative to a total weight of 1 for all axes.
 const PRIOR: f64 = 1e-3;
 
-/// The optical axes of cameras. The point p nearest to all of them, in the sense of least squares, has Σ (I − d dᵀ)(p − c) = 0
-/// over their directions d and the centres c; world units.
+/// Optical axes of cameras. The least-squares nearest point p to all axes satisfies Σ (I − d dᵀ)(p − c) = 0 over their
+/// directions d and the centres c; world units.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OpticalAxes {
     /// Mean of I − d dᵀ.
@@ -21,7 +21,7 @@ pub(crate) struct OpticalAxes {
 }
 
 impl OpticalAxes {
-    /// Of these cameras.
+    /// Optical axes of these cameras.
     pub(crate) fn of(cameras: &[Camera]) -> Self {
         let share = (cameras.len().max(1) as f64).recip();
         let (mut across, mut across_center) = (DMat3::ZERO, DVec3::ZERO);
@@ -34,13 +34,13 @@ impl OpticalAxes {
         Self { across, across_center }
     }
 
-    /// The point nearest to all axes; `None` where they are about parallel, or there are none. It may lie behind cameras.
+    /// The point nearest to all axes; `None` if they are nearly parallel, or there are none. It may lie behind cameras.
     pub(crate) fn meeting_point(&self) -> Option<DVec3> {
         let point = (self.across.determinant() > LEAST_SPREAD).then(|| self.across.inverse() * self.across_center)?;
         point.is_finite().then_some(point)
     }
 
-    /// The point nearest to all axes, and to one that is expected, which hardly counts unless axes are about parallel.
+    /// The point nearest to all axes and to an expected one, which hardly counts unless the axes are nearly parallel.
     pub(crate) fn meeting_point_near(&self, expected: DVec3) -> DVec3 {
         (self.across + DMat3::from_diagonal(DVec3::splat(PRIOR))).inverse() * (self.across_center + PRIOR * expected)
     }

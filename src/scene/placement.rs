@@ -1,4 +1,4 @@
-//! Where a node or a bone puts what hangs on it: for whatever reads scenes, and for rigs.
+//! Placement of splats and maps by the transforms of nodes and bones, for readers of scenes and for rigs.
 
 use std::ops::Range;
 
@@ -7,14 +7,14 @@ use rayon::prelude::*;
 
 use super::{Atlas, SceneError, SplatArrays, Texture, sh};
 
-/// A similarity that does not mirror, taken apart: `scale · rotation` and a translation.
+/// A similarity without mirroring, decomposed into `scale · rotation` and a translation.
 pub(crate) struct Decomposed {
     pub(crate) scale: f64,
     pub(crate) rotation: DQuat,
     pub(crate) translation: DVec3,
 }
 
-/// Takes a transform apart; `None` if it shears, mirrors or scales unevenly by more than 1e-4, about the noise of f32
+/// Decomposes a transform; `None` if it shears, mirrors or scales unevenly by more than 1e-4, about the noise of f32
 /// matrices multiplied along a node path.
 pub(crate) fn similarity(transform: DMat4) -> Option<Decomposed> {
     let linear = DMat3::from_mat4(transform);
@@ -22,30 +22,32 @@ pub(crate) fn similarity(transform: DMat4) -> Option<Decomposed> {
     let unit = linear * scale.recip();
     let is_rotation = scale > 0.0 && (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-4);
     is_rotation.then(|| Decomposed {
-        // Exactly 1, so that the frame change of our own files leaves every bit alone.
+        // Exactly 1, so that the frame change of files written by Centaur leaves every bit alone.
         scale: if (scale - 1.0).abs() < 1e-12 { 1.0 } else { scale },
         rotation: if unit == DMat3::IDENTITY { DQuat::IDENTITY } else { DQuat::from_mat3(&unit).normalize() },
         translation: transform.w_axis.truncate(),
     })
 }
 
-/// The orthogonal matrix next to the linear part of a transform, by which what is seen of things turns or is mirrored; `None` if
-/// that part has no inverse.
+/// Orthogonal matrix nearest to the linear part of a transform, by which view dependence is rotated or mirrored; `None`
+/// if that part has no inverse.
 pub(crate) fn orthogonal(transform: DMat4) -> Option<DMat3> {
     if let Some(Decomposed { rotation, .. }) = similarity(transform) {
         return Some(DMat3::from_quat(rotation));
     }
     let linear = DMat3::from_mat4(transform);
     let mut unit = linear * linear.determinant().abs().cbrt().recip();
-    // Newton's iteration for the polar decomposition halves lengths far from 1 and doubles the digits of those near it.
+    // Newton's iteration for the polar decomposition, which halves lengths far from 1 and doubles the correct digits of
+    // those near it.
     for _ in 0..64 {
         unit = 0.5 * (unit + unit.inverse().transpose());
     }
     (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-9).then_some(unit)
 }
 
-/// Moves some splats to where a node puts them: means, shapes and spherical harmonics. By its linear part M a covariance Σ becomes
-/// M·Σ·Mᵀ, and harmonics turn by [`orthogonal`]. False, and nothing done, if M has no inverse.
+/// Applies a node's transform to some splats: means, shapes and spherical harmonics. With its linear part M a
+/// covariance Σ becomes M·Σ·Mᵀ, and harmonics are rotated by [`orthogonal`]. Returns false, and does nothing, if M has
+/// no inverse.
 pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DMat4) -> bool {
     if transform == DMat4::IDENTITY {
         return true;
@@ -56,7 +58,8 @@ pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DM
     true
 }
 
-/// Moves means and shapes of some splats as [`place`] does, by a transform with an inverse, and leaves their harmonics as they are.
+/// Transforms means and shapes of some splats as [`place`] does, by an invertible transform, and leaves their harmonics
+/// unchanged.
 pub(crate) fn reshape(splats: &mut SplatArrays, these: Range<usize>, transform: DMat4) {
     let moved = |mean: &mut Vec3| *mean = transform.transform_point3(mean.as_dvec3()).as_vec3();
     splats.means[these.clone()].par_iter_mut().for_each(moved);
@@ -70,25 +73,25 @@ pub(crate) fn reshape(splats: &mut SplatArrays, these: Range<usize>, transform: 
     }
 }
 
-/// Rotation and log-scales of an ellipsoid that a linear map with an inverse has gone over.
+/// Rotation and log-scales of an ellipsoid after an invertible linear map.
 fn stretched(linear: DMat3, rotation: Quat, log_scale: Vec3) -> (Quat, Vec3) {
-    // Of the longest axis, so that numbers and their squares stay in range.
+    // Least axis relative to the longest, so that numbers and their squares stay in range.
     const LEAST_PART: f64 = 1e-60;
     let (size, longest) = (linear.determinant().abs().cbrt(), f64::from(log_scale.max_element()));
     let parts = (log_scale.as_dvec3() - longest).exp().max(DVec3::splat(LEAST_PART));
     let axes = DMat3::from_quat(rotation.as_dquat().normalize()) * DMat3::from_diagonal(parts);
     let axes = half_axes(linear * size.recip() * axes);
     let lengths = DVec3::new(axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length());
-    // As they are an ellipsoid's, they may all point the other way.
+    // The axes of an ellipsoid may all be negated.
     let unit = axes * DMat3::from_diagonal(axes.determinant().signum() / lengths);
     let log_scale = (lengths * size).to_array().map(|length| length.ln() + longest);
     (DQuat::from_mat3(&unit).normalize().as_quat(), DVec3::from(log_scale).as_vec3())
 }
 
-/// The half axes of an ellipsoid of which the columns are conjugate ones: left singular vectors times singular values, by one-sided
-/// Jacobi rotations, which are exact for short axes beside long ones, too.
+/// Half axes of an ellipsoid from conjugate ones (columns): left singular vectors times singular values, by one-sided
+/// Jacobi rotations, which are accurate for short axes beside long ones, too.
 fn half_axes(conjugate: DMat3) -> DMat3 {
-    // What is left is squared with every sweep.
+    // The remainder is squared with every sweep.
     const MAX_SWEEPS: usize = 12;
     let mut columns = [conjugate.x_axis, conjugate.y_axis, conjugate.z_axis];
     for _ in 0..MAX_SWEEPS {
@@ -107,7 +110,7 @@ fn half_axes(conjugate: DMat3) -> DMat3 {
     DMat3::from_cols(columns[0], columns[1], columns[2])
 }
 
-/// Turns (or mirrors) the view dependence of some splats.
+/// Rotates (or mirrors) the view dependence of some splats.
 pub(crate) fn turn(splats: &mut SplatArrays, these: Range<usize>, orthogonal: DMat3) {
     if splats.sh_degree > 0 && orthogonal != DMat3::IDENTITY {
         let (k, harmonics) = (sh::coefficients(splats.sh_degree), sh::Rotation::new(orthogonal));
@@ -116,7 +119,7 @@ pub(crate) fn turn(splats: &mut SplatArrays, these: Range<usize>, orthogonal: DM
     }
 }
 
-/// Maps whose view dependence is turned (or mirrored).
+/// Maps with their view dependence rotated (or mirrored).
 pub(crate) fn turned(atlas: &Atlas, orthogonal: DMat3) -> Result<Atlas, SceneError> {
     let Some(bands) = atlas.bands().filter(|_| orthogonal != DMat3::IDENTITY) else { return Ok(atlas.clone()) };
     let harmonics = sh::Rotation::new(orthogonal);

@@ -1,8 +1,8 @@
-//! What moves a scene: morph targets and bones under its surfaces, and splats that follow bones or triangles.
+//! Rig of a moving scene: morph targets and bones under its surfaces, and splats that follow bones or triangles.
 //!
-//! A rig knows nothing of time, nor of where poses come from: glTF animations are one source (`format::gltf`), a tracked
-//! head of parametric shape would be another. It holds the scene's geometry before any pose; a [`Pose`] says where bones are
-//! and how much targets count.
+//! A rig is independent of time and of the source of poses: glTF animations are one source (`format::gltf`), a tracked
+//! parametric head would be another. It holds the scene's geometry before any pose; a [`Pose`] gives the transforms of
+//! bones and the weights of morph targets.
 //!
 //! ```text
 //! p = base + Σ weightₜ · deltaₜ                            morph targets
@@ -21,25 +21,25 @@ use rayon::prelude::*;
 use super::placement::{orthogonal, reshape, similarity, turn, turned};
 use super::{HybridScene, Mesh, SceneError, SplatArrays, check_len};
 
-/// A moment of a rig.
+/// A pose of a rig.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// Per bone, from the space in which what hangs on it is stored to the scene, column vectors. Of a joint of a skin:
-    /// its global transform times its inverse bind matrix.
+    /// Transform of each bone, from the space in which attached content is stored to the scene, for column vectors. For
+    /// a joint of a skin: its global transform times its inverse bind matrix.
     pub bones: Vec<DMat4>,
-    /// Per weight of morph targets.
+    /// Weights of morph targets.
     pub weights: Vec<f32>,
 }
 
-/// The geometry of a scene before it is posed, and what hangs on what.
+/// Geometry of a scene before it is posed, and its attachment to bones and triangles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rig {
-    /// One per mesh of the scene; `None`: it keeps still.
+    /// One per mesh of the scene; `None` for static meshes.
     surfaces: Vec<Option<RestSurface>>,
-    /// Splats that move; the others keep still.
+    /// Splats that move; all others are static.
     attached: Vec<AttachedSplats>,
     rest: Pose,
-    /// One per bone.
+    /// Names, one per bone.
     names: Vec<String>,
 }
 
@@ -48,9 +48,9 @@ pub struct Rig {
 pub struct RestSurface {
     /// Position of every vertex, in the space of its bones.
     pub base: Vec<Vec3>,
-    /// What may be added to them.
+    /// Morph targets.
     pub targets: Vec<MorphTarget>,
-    /// What takes them to the scene.
+    /// Attachment of the vertices to bones.
     pub skinning: Skinning,
 }
 
@@ -59,20 +59,20 @@ pub struct RestSurface {
 pub struct MorphTarget {
     /// Index in [`Pose::weights`].
     pub weight: usize,
-    /// What a weight of 1 adds to each vertex.
+    /// Offset of each vertex at a weight of 1.
     pub deltas: Vec<Vec3>,
 }
 
-/// What takes vertices to the scene.
+/// Attachment of vertices to bones.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Skinning {
-    /// All of them one bone.
+    /// Rigid: all vertices follow one bone.
     Bone(usize),
-    /// Linear blend skinning. Weights of a vertex add up to more than 0; what they add up to is divided by.
+    /// Linear blend skinning. The weights of a vertex must have a positive sum, by which they are divided.
     Skin {
         /// Bones per vertex.
         width: usize,
-        /// `[vertices · width]`
+        /// Bone indices, `[vertices · width]`.
         bones: Vec<u32>,
         /// `[vertices · width]`
         weights: Vec<f32>,
@@ -82,48 +82,49 @@ pub enum Skinning {
 /// Consecutive splats that move.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttachedSplats {
-    /// Which splats of the scene.
+    /// Range of splats of the scene.
     pub splats: Range<usize>,
-    /// What they follow.
+    /// Bone or triangles that they follow.
     pub anchor: Anchor,
 }
 
-/// What splats follow.
+/// Attachment of splats.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Anchor {
-    /// A bone, as they are in the rest pose.
+    /// A bone, relative to the rest pose.
     Bone(usize),
-    /// Triangles, one a splat.
+    /// Triangles, one per splat.
     Triangles(Binding),
 }
 
 /// Splats in the frames of triangles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Binding {
-    /// The mesh that the triangles are of.
+    /// Index of the mesh that the triangles belong to.
     pub surface: usize,
-    /// Three of its vertices per splat.
+    /// Vertices of the triangle, per splat.
     pub corners: Vec<[u32; 3]>,
-    /// Means in the frame of the triangle.
+    /// Means in the triangle's frame.
     pub translations: Vec<Vec3>,
-    /// Orientations relative to it.
+    /// Orientations relative to the triangle's frame.
     pub rotations: Vec<Quat>,
-    /// Linear scales relative to its size.
+    /// Linear scales relative to the triangle's size.
     pub scales: Vec<Vec3>,
-    /// What their view dependence turns with.
+    /// Frame of their view dependence.
     pub harmonics: ShFrame,
 }
 
-/// What the view dependence of bound splats turns with.
+/// Frame that the view dependence of bound splats follows.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ShFrame {
     /// A bone.
     Bone(usize),
-    /// The triangle: per splat, what turns the frame of the scene in the rest pose to that of the undeformed triangle.
+    /// The triangle: per splat, the rotation from the scene's frame in the rest pose to that of the undeformed
+    /// triangle.
     Triangles(Vec<DQuat>),
 }
 
-/// What a triangle defines as a frame (S. Qian et al., `GaussianAvatars`, CVPR 2024; the extension's `edgeNormal`).
+/// Frame of a triangle (S. Qian et al., `GaussianAvatars`, CVPR 2024; the extension's `edgeNormal`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     /// Columns: along the first edge, the normal, and across both.
@@ -135,7 +136,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Of corners in their order; `None` if they are on a line.
+    /// Frame of a triangle with these corners in order; `None` if they are collinear.
     #[must_use]
     pub fn of(corners: [DVec3; 3]) -> Option<Self> {
         let [v0, v1, v2] = corners;
@@ -148,7 +149,7 @@ impl Frame {
     }
 }
 
-/// Logit of splats that are not drawn, far below the least opacity that is.
+/// Opacity logit of splats that are not drawn, far below the least visible opacity.
 const HIDDEN: f32 = -100.0;
 
 impl Rig {
@@ -157,7 +158,7 @@ impl Rig {
     /// * `names`: what bones are called, for messages and for programs that show them.
     ///
     /// # Errors
-    /// If lengths differ, an index is out of range, or nothing weighs a vertex of a skin.
+    /// If lengths differ, an index is out of range, or a vertex of a skin has no positive weight.
     pub fn new(
         surfaces: Vec<Option<RestSurface>>,
         attached: Vec<AttachedSplats>,
@@ -178,7 +179,7 @@ impl Rig {
         Ok(Self { surfaces, attached, rest, names })
     }
 
-    /// One per mesh; `None` keeps still.
+    /// Surfaces, one per mesh; `None` for static ones.
     #[must_use]
     pub fn surfaces(&self) -> &[Option<RestSurface>] {
         &self.surfaces
@@ -196,18 +197,18 @@ impl Rig {
         &self.rest
     }
 
-    /// What bones are called, one each.
+    /// Names of bones, one each.
     #[must_use]
     pub fn bone_names(&self) -> &[String] {
         &self.names
     }
 
-    /// The scene in a pose; `scene` is that in the rest pose, after it has been moved by `moved`, a similarity. What `pose`
-    /// leaves where it rests keeps its bits.
+    /// The scene in a pose; `scene` is the one in the rest pose, after it was moved by `moved`, a similarity. Parts
+    /// that `pose` leaves in the rest pose keep their bits.
     ///
     /// # Errors
-    /// If the scene or the pose is not that of this rig, `moved` is no similarity, or bones are where splats cannot follow them:
-    /// flat. What a bone scales to nothing is not drawn.
+    /// If the scene or the pose does not belong to this rig, `moved` is no similarity, or a bone's transform is flat,
+    /// so that splats cannot follow it. Splats of a bone scaled to zero are not drawn.
     pub fn pose(&self, scene: &HybridScene, pose: &Pose, moved: DMat4) -> Result<HybridScene, SceneError> {
         let Some(by) = similarity(moved) else {
             return Err(SceneError::new("moved", "a rotation, a shift and an even scale", "another transform"));
@@ -254,7 +255,7 @@ impl Rig {
         Mesh::new(positions, mesh.triangles().to_vec(), mesh.corner_uvs().to_vec(), atlas)
     }
 
-    /// What a pose does to a thing on a bone.
+    /// Change that a pose makes to content attached to a bone.
     fn since_rest(&self, bone: usize, pose: &Pose, moved: DMat4) -> Result<Since, SceneError> {
         let (now, rest) = (pose.bones[bone], self.rest.bones[bone]);
         if now == rest {
@@ -265,10 +266,11 @@ impl Rig {
         }
         let (now, rest) = (moved * now, moved * rest);
         let transform = now * rest.inverse();
-        // Of a bone without extent where it rests nothing can be told: the inverse is not finite.
+        // For a bone with a singular rest transform the change is undefined: the inverse is not finite.
         let turn = Some(transform).filter(DMat4::is_finite).and_then(|transform| match similarity(transform) {
             Some(by) => Some(DMat3::from_quat(by.rotation)),
-            // What is seen turns with the bone, which what lies between two of its transforms need not do where they stretch.
+            // View dependence follows the rotation of the bone itself, which the change between two stretching
+            // transforms need not have.
             None => Some(orthogonal(now)? * orthogonal(rest)?.transpose()),
         });
         turn.map(|turn| Since::Moved(transform, turn)).ok_or_else(|| {
@@ -341,16 +343,16 @@ impl Rig {
     }
 }
 
-/// Of scales of 0, whose logarithm is not finite: that of the least normal f32.
+/// Log-scale for scales of 0, whose logarithm is not finite: that of the least normal f32.
 const LEAST_LOG_SCALE: f64 = -87.336_544;
 
-/// What a pose does to what hangs on a bone.
+/// Change of content attached to a bone.
 enum Since {
-    /// It is where it rests.
+    /// The bone is in its rest pose.
     Rested,
-    /// This takes it there, and turns what is seen of it.
+    /// Transform from the rest pose, and rotation of the view dependence.
     Moved(DMat4, DMat3),
-    /// It is scaled to nothing, as things are made to disappear.
+    /// The bone is scaled to zero, by which things are made to disappear.
     Gone,
 }
 
@@ -360,7 +362,7 @@ fn below(what: &str, index: usize, count: usize) -> Result<(), SceneError> {
 }
 
 impl Binding {
-    /// Error unless it binds this many splats to one of these surfaces.
+    /// Checks that it binds this many splats to one of these surfaces.
     fn check(&self, splats: usize, surfaces: &[Option<RestSurface>], rest: &Pose) -> Result<(), SceneError> {
         below("surface", self.surface, surfaces.len())?;
         check_len("corners", self.corners.len(), splats)?;
@@ -378,7 +380,7 @@ impl Binding {
 }
 
 impl RestSurface {
-    /// Error unless it is one of a rig with this pose.
+    /// Checks that it fits a rig with this pose.
     fn check(&self, rest: &Pose) -> Result<(), SceneError> {
         let vertices = self.base.len();
         for target in &self.targets {
@@ -389,7 +391,7 @@ impl RestSurface {
             Skinning::Bone(bone) => return below("bone", *bone, rest.bones.len()),
             Skinning::Skin { width, bones, weights } => (*width, bones, weights),
         };
-        // Also where there are no vertices: nobody wants to divide by it.
+        // Checked even without vertices, as it is a divisor.
         let count = vertices.checked_mul(width.max(1)).filter(|_| width > 0);
         let count = count.ok_or_else(|| SceneError::new("bones per vertex", "at least 1", width.to_string()))?;
         check_len("bones of a skin", bones.len(), count)?;
@@ -404,7 +406,7 @@ impl RestSurface {
         })
     }
 
-    /// Whether anything that it hangs on is elsewhere than in the other pose.
+    /// Whether any bone or weight of the surface differs between two poses.
     fn moves(&self, pose: &Pose, other: &Pose) -> bool {
         let differs = |bone: usize| pose.bones[bone] != other.bones[bone];
         let is_skinned = match &self.skinning {
@@ -446,7 +448,7 @@ impl RestSurface {
                             * (pose.bones[bone as usize] * DVec4::from((p.as_dvec3(), 1.0))).truncate();
                         total += f64::from(weight);
                     }
-                    // Quantised weights add up to 1 but for their rounding.
+                    // Quantised weights add up to 1 only up to rounding.
                     *p = (sum / total).as_vec3();
                 });
             }
@@ -454,14 +456,14 @@ impl RestSurface {
         positions
     }
 
-    /// What it takes in memory.
+    /// Bytes of memory used.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let width = if let Skinning::Skin { width, .. } = self.skinning { width } else { 0 };
         (self.base.len() * (12 * (1 + self.targets.len()) + 8 * width)) as u64
     }
 
-    /// The same with only these vertices, in this order.
+    /// The surface reduced to these vertices, in this order.
     ///
     /// # Panics
     /// If there is no such vertex.

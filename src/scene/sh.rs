@@ -10,8 +10,8 @@ pub const MAX_DEGREE: u32 = 3;
 /// Y₀: 1/(2√π).
 pub const C0: f64 = 0.282_094_791_773_878_14;
 
-/// Number of coefficients per colour channel of a degree: (d+1)². Also of degrees beyond [`MAX_DEGREE`], as files may claim; where the number
-/// has no room, the largest there is.
+/// Number of coefficients per colour channel of a degree: (d+1)². Also defined for degrees beyond [`MAX_DEGREE`], as
+/// files may claim; saturates.
 #[must_use]
 pub const fn coefficients(degree: u32) -> usize {
     let terms = (degree as usize).saturating_add(1);
@@ -57,7 +57,7 @@ pub fn basis(d: [f64; 3]) -> [f64; 16] {
     ]
 }
 
-/// Zeroth coefficient that shows `rgb` from every side: `(rgb − 0.5)/C0`.
+/// Zeroth coefficient whose colour is `rgb` from every side: `(rgb − 0.5)/C0`.
 #[must_use]
 pub fn dc_from_rgb(rgb: [f32; 3]) -> [f32; 3] {
     rgb.map(|c| (f64::from(c - 0.5) / C0) as f32)

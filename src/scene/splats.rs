@@ -3,7 +3,7 @@ use rayon::prelude::*;
 
 use super::{SceneError, check_finite, check_len, sh};
 
-/// How far rounding four components to f32 takes a quaternion's length from 1: 2 · 2⁻²⁵ where they are equal.
+/// Deviation of a quaternion's length from 1 caused by rounding its four components to f32: 2 · 2⁻²⁵ if they are equal.
 const UNIT_TOLERANCE: f64 = 6e-8;
 
 /// `N` anisotropic 3D Gaussians in the parameters that are optimised (Kerbl et al. 2023).
@@ -51,12 +51,12 @@ impl Splats {
         check_finite("opacity_logits", &opacity_logits, 1)?;
         check_finite("sh", bytemuck::cast_slice(&sh), 3 * sh::coefficients(sh_degree))?;
         let not_a_rotation = rotations.par_iter_mut().enumerate().find_map_first(|(i, q)| {
-            // In f64, so that any finite non-zero f32 quaternion survives.
+            // In f64, so that any finite non-zero f32 quaternion is accepted.
             let length = q.as_dquat().length();
             if !(length > 0.0 && length.is_finite()) {
                 return Some((i, *q));
             }
-            // One that is as long as f32 can tell keeps its bits, however often it comes by here.
+            // A quaternion of unit length within f32 precision keeps its bits, however often it passes here.
             if (length - 1.0).abs() > UNIT_TOLERANCE {
                 *q = (q.as_dquat() / length).as_quat();
             }
@@ -68,7 +68,7 @@ impl Splats {
         Ok(Self { means, rotations, log_scales, opacity_logits, sh_degree, sh })
     }
 
-    /// Gives the arrays back, to be changed and taken by [`Self::new`] again.
+    /// Returns the arrays, to be changed and passed to [`Self::new`] again.
     #[must_use]
     pub fn into_arrays(self) -> SplatArrays {
         let Self { means, rotations, log_scales, opacity_logits, sh_degree, sh } = self;
@@ -178,7 +178,7 @@ impl SplatArrays {
         }
     }
 
-    /// The same of another SH degree, at most [`sh::MAX_DEGREE`]: higher bands are dropped, or added as zeros.
+    /// The splats with another SH degree, at most [`sh::MAX_DEGREE`]: higher bands are dropped, or added as zeros.
     #[must_use]
     pub fn with_sh_degree(mut self, degree: u32) -> Self {
         let degree = degree.min(sh::MAX_DEGREE);
@@ -197,7 +197,7 @@ impl SplatArrays {
         Self { sh_degree: degree, ..self }
     }
 
-    /// Adds the splats of another, of the same SH degree, after its own.
+    /// Appends the splats of `other`, which must have the same SH degree.
     pub fn append(&mut self, mut other: Self) {
         self.means.append(&mut other.means);
         self.rotations.append(&mut other.rotations);
@@ -206,7 +206,7 @@ impl SplatArrays {
         self.sh.append(&mut other.sh);
     }
 
-    /// Checks what it has become.
+    /// Validates the arrays.
     ///
     /// # Errors
     /// As [`Splats::new`].

@@ -1,4 +1,4 @@
-//! What there is to do.
+//! Jobs of a benchmark.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::Args;
 use crate::cli::{output, usage};
 
-/// Scenes of Mip-NeRF 360 and by what their pictures are divided.
+/// Scenes of Mip-NeRF 360, with the divisors of their image sizes.
 pub(super) const MIPNERF360: [(&str, u32); 9] = [
     ("bicycle", 4),
     ("bonsai", 2),
@@ -42,13 +42,14 @@ impl fmt::Display for Protocol {
     }
 }
 
-/// Flags of `centaur train` that a protocol decides, and that would win over its own.
+/// Flags of `centaur train` that a protocol determines, and which would override it.
 const OF_PROTOCOL: [&str; 4] = ["--images", "--downscale", "--max-side", "--masks"];
 
-/// Those of them that say the size, each in its way.
+/// Flags of [`OF_PROTOCOL`] that set the size, each in its way.
 const OF_SIZE: [&str; 2] = ["--downscale", "--max-side"];
 
-/// Says so of scenes of Mip-NeRF 360 whose pictures nothing makes smaller: they have up to 17 megapixels, and no table is of those.
+/// Note on scenes of Mip-NeRF 360 whose photographs nothing downscales: they have up to 17 megapixels, for which no
+/// table exists.
 pub(super) fn of_full_size(jobs: &[&Job]) -> Option<String> {
     let is_known = |scene: &str| MIPNERF360.iter().any(|(name, _)| *name == scene);
     let is_sized = |job: &Job| job.given().any(|flag| is_one_of(flag, &OF_SIZE) || is_one_of(flag, &["--images"]));
@@ -62,26 +63,27 @@ pub(super) fn of_full_size(jobs: &[&Job]) -> Option<String> {
     })
 }
 
-/// Whether a word among flags of `centaur train` is one that decides which pictures are taken, of which size, or which part of them.
+/// Whether a word among flags of `centaur train` determines which photographs are used, at which size, or which part of
+/// them.
 pub(super) fn chooses_pictures(word: &str) -> bool {
     is_one_of(word, &OF_PROTOCOL)
 }
 
-/// Whether a word is one of these flags, with its value or before it.
+/// Whether a word is one of these flags, with or without its value attached.
 fn is_one_of(word: &str, flags: &[&str]) -> bool {
     name_of(word).is_some_and(|name| flags.contains(&name))
 }
 
-/// The name of the flag that a word is, with its value or before it, which may follow that of a short one without a sign; none if it is a value,
-/// such as `-1.5`.
+/// Name of the flag in a word, with or without its value, which may follow a short flag without `=`; none if the word
+/// is a value, such as `-1.5`.
 fn name_of(word: &str) -> Option<&str> {
     let is_long = word.starts_with("--");
     let is_short = word.strip_prefix('-').is_some_and(|name| name.starts_with(char::is_alphabetic));
     if is_long { word.split('=').next() } else { word.get(..2).filter(|_| is_short) }
 }
 
-/// The flags of a scene that those of the command and the variant leave: none that they give as well, and none of its size if they say one,
-/// which goes with no other.
+/// Flags of a scene that remain beside those of the command and the variant: without flags that these give as well, and
+/// without its size if they set one, because sizes exclude each other.
 pub(super) fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
     let given: BTreeSet<&str> = others.iter().filter_map(|word| name_of(word)).collect();
     let is_sized = OF_SIZE.iter().any(|flag| given.contains(flag));
@@ -95,7 +97,7 @@ pub(super) fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
     of_scene.iter().filter(stays).cloned().collect()
 }
 
-/// Flags as results keep them: of weights the name alone, since folders differ from machine to machine.
+/// Flags as stored in results: for weights the file name only, because folders differ between machines.
 pub(super) fn as_kept(flags: &[String]) -> Vec<String> {
     let name = |path: &str| Path::new(path).file_name().map_or(path.to_owned(), |name| name.to_string_lossy().into());
     let mut kept: Vec<String> = vec![];
@@ -112,10 +114,10 @@ pub(super) fn as_kept(flags: &[String]) -> Vec<String> {
 
 const WEIGHTS: &str = "--lpips-weights";
 
-/// Flags of `centaur train` that every job has of its own.
+/// Flags of `centaur train` that every job sets itself.
 const OF_JOBS: [&str; 9] = ["-o", "--output", "--ply", "--report", "--seed", "--json", "--quiet", "-q", "--resume"];
 
-/// A way to train.
+/// Training variant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Variant {
     name: String,
@@ -163,15 +165,15 @@ pub(super) struct Job {
     pub(super) seed: u64,
     pub(super) capture: PathBuf,
     pub(super) protocol: Option<Protocol>,
-    /// Of its scene, from `scenes.json`.
+    /// Flags of the scene, from `scenes.json`.
     scene_flags: Vec<String>,
-    /// Of the command and the variant, which replace those.
+    /// Flags of the command and the variant, which replace those of the scene.
     flags: Vec<String>,
-    /// Written when the job is done.
+    /// Path of the result, written when the job is done.
     pub(super) result: PathBuf,
 }
 
-/// `NAME` or `NAME=FLAGS`; for clap's `value_parser`.
+/// Parses `NAME` or `NAME=FLAGS`; for clap's `value_parser`.
 pub(super) fn variant(text: &str) -> Result<Variant, String> {
     let (name, flags) = text.split_once('=').unwrap_or((text, ""));
     let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
@@ -181,7 +183,7 @@ pub(super) fn variant(text: &str) -> Result<Variant, String> {
     Ok(Variant { name: name.to_owned(), flags: flags.split_whitespace().map(str::to_owned).collect() })
 }
 
-/// `I/N`; for clap's `value_parser`.
+/// Parses `I/N`; for clap's `value_parser`.
 pub(super) fn shard(text: &str) -> Result<Shard, String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     match parts {
@@ -190,7 +192,7 @@ pub(super) fn shard(text: &str) -> Result<Shard, String> {
     }
 }
 
-/// Every scene, variant and seed.
+/// All combinations of scene, variant and seed.
 pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     let scenes = scenes(&args.dataset)?;
     if let Some(missing) = args.scenes.iter().find(|name| !scenes.contains_key(*name)) {
@@ -211,7 +213,7 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
                 "--protocol {protocol}: expected no flag for the pictures, which it decides, found `{flag}`"
             )));
         }
-        // Scenes of other names are taken as they are, with their own flags.
+        // Scenes with other names are used as they are, with their own flags.
         let decides = |name: &str| !size_of(name, protocol).is_empty();
         let mut of_scenes = scenes
             .iter()
@@ -248,7 +250,7 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
         .collect())
 }
 
-/// Those that `--only` and `--shard` leave.
+/// Jobs selected by `--only` and `--shard`.
 pub(super) fn chosen<'j>(all: &'j [Job], args: &Args) -> Result<Vec<&'j Job>> {
     if let Some(unknown) = args.only.iter().find(|name| all.iter().all(|job| job.name() != **name)) {
         bail!("--only {unknown}: expected one of the {} jobs of --list, found none of that name", all.len());
@@ -259,27 +261,27 @@ pub(super) fn chosen<'j>(all: &'j [Job], args: &Args) -> Result<Vec<&'j Job>> {
 }
 
 impl Job {
-    /// `VARIANT/SCENE-SEED`.
+    /// Name of the job, `VARIANT/SCENE-SEED`.
     pub(super) fn name(&self) -> String {
         format!("{}/{}-{}", self.variant, self.scene, self.seed)
     }
 
-    /// Flags that somebody chose; the later ones win.
+    /// Flags given by the user; later ones take precedence.
     fn given(&self) -> impl Iterator<Item = &String> {
         self.scene_flags.iter().chain(&self.flags)
     }
 
-    /// Where it goes on from.
+    /// Checkpoint from which the job resumes.
     pub(super) fn checkpoint(&self) -> PathBuf {
         self.result.with_extension("glb.checkpoint")
     }
 
-    /// Whether there is one.
+    /// Whether a checkpoint exists.
     pub(super) fn is_begun(&self) -> bool {
         self.checkpoint().is_file()
     }
 
-    /// Arguments with which this program trains. Those that every job has come last, where nothing replaces them.
+    /// Arguments with which this program trains. Flags that every job sets come last, where nothing overrides them.
     pub(super) fn command(&self) -> Vec<OsString> {
         let scene = self.result.with_extension("glb");
         let resume = self.is_begun().then(|| "--resume".to_owned());
@@ -294,7 +296,7 @@ impl Job {
         command
     }
 
-    /// Arguments with which this program does this job alone.
+    /// Arguments with which this program does only this job.
     pub(super) fn listed(&self, args: &Args) -> Vec<OsString> {
         let mut words = vec!["bench".into(), args.dataset.clone().into_os_string()];
         words.extend(["-o".into(), args.output.clone().into_os_string()]);
@@ -312,12 +314,13 @@ impl Job {
         words
     }
 
-    /// See [`capture::fingerprint`], of the photographs in the folder that [`images_of`] names. What cannot be read is told by the training.
+    /// Fingerprint ([`capture::fingerprint`]) of the capture with the photographs in the folder that [`images_of`]
+    /// names. Errors of reading are reported by the training.
     pub(super) fn fingerprint(&self, images: Option<&str>) -> Option<u32> {
         capture::fingerprint(&self.capture, images).ok().flatten()
     }
 
-    /// For the result, without the capture's fingerprint.
+    /// Metadata for the result, without the capture's fingerprint.
     pub(super) fn made(&self, at_a_time: usize) -> Made {
         Made {
             variant: self.variant.clone(),
@@ -331,12 +334,12 @@ impl Job {
         }
     }
 
-    /// Whether its flags name weights of LPIPS.
+    /// Whether the job's flags name LPIPS weights.
     pub(super) fn scores_lpips(&self) -> bool {
         self.given().any(|flag| flag.starts_with(WEIGHTS))
     }
 
-    /// Whether `centaur train` takes the flags, and none is one that jobs have of their own.
+    /// Checks that `centaur train` accepts the flags, and that none is one that jobs set themselves.
     pub(super) fn check(&self) -> Result<()> {
         let own = self.given().find(|flag| is_one_of(flag, &OF_JOBS));
         if let Some(flag) = own {
@@ -347,7 +350,7 @@ impl Job {
         }
         let parsed = crate::cli::Cli::of(std::iter::once("centaur".into()).chain(self.command()));
         let wrong = |e: clap::Error| {
-            // What prints something else is no mistake to clap.
+            // Flags that print something else, such as help, are no errors to clap.
             usage::wrong(if e.use_stderr() {
                 first_line(&e)
             } else {
@@ -358,32 +361,32 @@ impl Job {
     }
 }
 
-/// What clap says first: what is wrong. Advice and usage follow.
+/// First line of clap's message, which states the error. Advice and usage follow.
 fn first_line(error: &clap::Error) -> String {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
     line.strip_prefix("error: ").unwrap_or(line).to_owned()
 }
 
-/// A capture of a data set.
+/// Capture of a data set.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Scene {
-    /// Its folder, from that of the data set on.
+    /// Folder of the capture, relative to the data set.
     capture: PathBuf,
-    /// Flags of `centaur train` for it, which those of the command replace, its size also by another way to say that.
+    /// Flags of `centaur train` for the scene, which those of the command replace; its size also by an equivalent flag.
     #[serde(default)]
     flags: Vec<String>,
 }
 
-/// What `scenes.json` holds.
+/// Content of `scenes.json`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Listed {
     scenes: BTreeMap<String, Scene>,
 }
 
-/// By name: those that the folder's `scenes.json` lists, else its folders that hold a capture.
+/// Scenes by name: those listed in the folder's `scenes.json`, else its subfolders that contain a capture.
 fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
     let list = dataset.join("scenes.json");
     if list.is_file() {
@@ -393,13 +396,13 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
     let unread = || format!("{}: cannot read", dataset.display());
     for entry in std::fs::read_dir(dataset).with_context(unread)? {
         let path = entry.with_context(unread)?.path();
-        // One that has lost its cameras is to fail by its name, not to be missing from the table.
+        // A capture without cameras shall fail by name, not be missing from the table.
         let is_one = capture::is_capture(&path) || path.join("sparse").is_dir();
         let Some(name) = path.file_name().filter(|_| is_one) else { continue };
         match name.to_str() {
-            // Of programs that keep something there.
+            // Hidden folders belong to other programs.
             Some(name) if name.starts_with('.') => {}
-            // Jobs are listed one to a line.
+            // Jobs are listed one per line.
             Some(name) if name.contains(char::is_control) => {
                 output::note(&format!("{name:?}: left out: its name holds a control character"));
             }
@@ -417,11 +420,11 @@ fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
     Ok(found)
 }
 
-/// Reads `scenes.json`. Its names become those of files, and its folders lie within its own.
+/// Reads `scenes.json`. Its names become file names, and its folders must lie within its own.
 fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
     let here = || list.display().to_string();
     let text = std::fs::read(list).with_context(|| format!("{}: cannot read", here()))?;
-    // Editors of Windows put a mark before the first brace.
+    // Windows editors write a byte order mark before the first brace.
     let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
     let Listed { scenes } = serde_json::from_slice(text).with_context(here)?;
     ensure!(!scenes.is_empty(), "{}: expected scenes, found none", here());
@@ -443,17 +446,17 @@ fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
     Ok(scenes)
 }
 
-/// The folder of photographs that flags name.
+/// Folder of photographs that the flags name.
 pub(super) fn images_of(made: &Made) -> Option<String> {
     let size = made.protocol.map_or(vec![], |protocol| size_of(&made.scene, protocol));
     let flags: Vec<&str> = size.iter().chain(&made.scene_flags).chain(&made.flags).map(String::as_str).collect();
     let apart = flags.windows(2).filter(|pair| pair[0] == "--images").map(|pair| pair[1]);
     let joined = flags.iter().filter_map(|flag| flag.strip_prefix("--images="));
-    // One that is given again replaces the former; nobody writes it both ways.
+    // A flag given again replaces the former; both spellings are not mixed in practice.
     apart.chain(joined).last().map(str::to_owned)
 }
 
-/// Flags for the size of a scene's pictures.
+/// Flags for the image size of a scene.
 fn size_of(scene: &str, protocol: Protocol) -> Vec<String> {
     let Some((_, divisor)) = MIPNERF360.iter().find(|(name, _)| *name == scene) else { return vec![] };
     match protocol {

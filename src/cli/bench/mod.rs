@@ -1,4 +1,5 @@
-//! A data set: its captures trained and scored as independent jobs, on this machine or by any scheduler, and one table.
+//! Benchmark of a data set: its captures are trained and scored as independent jobs, on this machine or by any
+//! scheduler, with one table of results.
 
 #[cfg(test)]
 mod flag_tests;
@@ -98,7 +99,7 @@ pub(super) struct Args {
 }
 
 impl Args {
-    /// Whether other runners may be on this machine.
+    /// Whether other runners may use this machine.
     fn shares_machine(&self) -> bool {
         self.beside_others || self.shard.is_some()
     }
@@ -144,7 +145,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             bail!("{}: no result of a training; delete it to do that job anew", job.result.display());
         }
     }
-    // A misspelt flag is found now and not after hours.
+    // Misspelt flags are reported now, not after hours.
     open.iter().try_for_each(|job| job.check())?;
     if args.list {
         return open.iter().try_for_each(|job| list(job, args));
@@ -163,12 +164,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     let Outcome { failed, left, is_stopped } = work::work(&open, args)?;
     let mut done = record::all(&args.output)?;
-    // A shard may be empty, and be the first.
+    // A shard may be empty and also be the first to run.
     let printed = if done.is_empty() {
         Ok(())
     } else {
         let mut table = write_table(args, &done)?;
-        // Another runner may have written the table of more results meanwhile, and this one's have taken its place.
+        // If another runner has meanwhile written a table with more results, which this one has replaced, write it
+        // again.
         let mut now = record::all(&args.output)?;
         while now.len() > done.len() {
             done = now;
@@ -177,7 +179,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         print_table(args, &table)
     };
-    // Also where nobody reads the table.
+    // Even if nobody reads the table.
     if is_stopped {
         let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
         let again = if names.is_empty() { "" } else { ", and does again what failed: " };
@@ -208,7 +210,7 @@ fn print_table(args: &Args, table: &table::Table) -> Result<()> {
     if args.messages.json { output::print_json(table) } else { output::print(table.to_string().trim_end()) }
 }
 
-/// Prints this command again, for one job.
+/// Prints this command for a single job.
 fn list(job: &Job, args: &Args) -> Result<()> {
     let program = std::env::args_os().next().unwrap_or_else(|| "centaur".into());
     let mut line = vec![];
@@ -222,7 +224,7 @@ fn list(job: &Job, args: &Args) -> Result<()> {
     output::write(&line)
 }
 
-/// For a shell.
+/// Quotes a word for a shell.
 fn quoted(word: &OsStr) -> Vec<u8> {
     let bytes = word.as_encoded_bytes();
     let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@%".contains(c);

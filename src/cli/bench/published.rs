@@ -1,41 +1,41 @@
-//! What others print of whole data sets, as plain figures with what they are of.
+//! Published results on whole data sets, as plain figures with their provenance.
 
 use std::{collections::BTreeSet, ops::RangeInclusive};
 
 use super::jobs::{MIPNERF360, Protocol};
 
-/// Means over a data set, taken in one way.
+/// Means over a data set, taken by one protocol.
 pub(super) struct Known {
-    /// What the means are over: all of these and no others.
+    /// Exact set of scenes over which the means are taken.
     scenes: &'static [&'static str],
     pictures: Pictures,
-    /// Longer side of these in pixels.
+    /// Range of the images' longer sides in pixels.
     longer_side: RangeInclusive<u64>,
-    /// Whose the means are and by which conventions, for below the table.
+    /// Source and conventions of the means, for below the table.
     pub(super) note: &'static str,
-    /// Whether LPIPS, by VGG, is of colours −1…1; else 0…1.
+    /// Whether LPIPS, by VGG, uses colours −1…1; otherwise 0…1.
     pub(super) normalized: bool,
     pub(super) means: &'static [Mean],
 }
 
-/// Of which size.
+/// Size of the images.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Pictures {
     Of(Protocol),
-    /// As they come; SSIM as INRIA computes it.
+    /// Distributed size; SSIM as INRIA computes it.
     Distributed,
-    /// Some as they come and others scaled to about the same size; SSIM as INRIA computes it.
+    /// Partly distributed size, partly scaled to about the same size; SSIM as INRIA computes it.
     Sized,
 }
 
 #[derive(Clone, Copy)]
 pub(super) struct Mean {
     pub(super) method: &'static str,
-    /// Where that is not the data set: of what.
+    /// Description of the images or scenes, if other than the data set's.
     pub(super) over: Option<&'static str>,
     pub(super) psnr: f64,
     pub(super) ssim: Option<f64>,
-    /// None where none is printed, or by a convention that is not said.
+    /// LPIPS; none if it is not published, or only by an unstated convention.
     pub(super) lpips: Option<f64>,
 }
 
@@ -47,12 +47,13 @@ const fn partly(method: &'static str, psnr: f64, ssim: Option<f64>) -> Mean {
     Mean { method, over: None, psnr, ssim, lpips: None }
 }
 
-/// Of protocol A's pictures, as it seems, in tables of protocol B: the methods' own papers have these figures, and `NerfBaselines` about the same.
+/// Mean that seems to be for protocol A's images although listed in tables of protocol B: the methods' own papers have
+/// these figures, and `NerfBaselines` about the same.
 const fn other_pictures(method: &'static str, figures: [f64; 3]) -> Mean {
     Mean { over: Some("pictures of the data set, as it seems"), ..mean(method, figures) }
 }
 
-/// From HERA's paper, which does not name its five scenes of Tanks and Temples.
+/// Mean from HERA's paper, which does not name its five scenes of Tanks and Temples.
 const fn of_five(method: &'static str, figures: [f64; 3]) -> Mean {
     Mean { over: Some("five scenes, unnamed"), ..mean(method, figures) }
 }
@@ -77,7 +78,7 @@ const fn names<const N: usize>(of: &[(&'static str, u32); N]) -> [&'static str; 
 
 const OF_MIPNERF360: [&str; MIPNERF360.len()] = names(&MIPNERF360);
 
-/// Of a quarter of 4946 to 5187 pixels outdoors and half of 3114 to 3118 indoors.
+/// A quarter of 4946 to 5187 pixels outdoors, and half of 3114 to 3118 indoors.
 const OF_EITHER_PROTOCOL: RangeInclusive<u64> = 1226..=1570;
 
 static KNOWN: [Known; 5] = [
@@ -159,8 +160,8 @@ static KNOWN: [Known; 5] = [
     },
 ];
 
-/// What is known of exactly these scenes, in pictures of these longer sides. `resized`: flags choose their pictures or the size of these.
-/// `masked`: masks multiplied some, as those of no other.
+/// Published means for exactly these scenes, with images of these longer sides. `resized`: flags determine the images
+/// or their size. `masked`: masks multiplied some images, which no published result does.
 pub(super) fn of(
     scenes: &BTreeSet<String>,
     protocol: Option<Protocol>,
@@ -171,7 +172,7 @@ pub(super) fn of(
     KNOWN.iter().find(|known| {
         let is_so = match known.pictures {
             Pictures::Of(wanted) => protocol == Some(wanted),
-            // Protocol A takes SSIM of windows inside the picture.
+            // Protocol A takes SSIM over windows inside the image.
             Pictures::Distributed => protocol != Some(Protocol::A) && !resized,
             Pictures::Sized => protocol != Some(Protocol::A),
         };

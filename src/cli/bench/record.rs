@@ -1,4 +1,4 @@
-//! What is done: a file per job, which says what made it.
+//! Results: one file per job, which states how it was made.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,26 +9,26 @@ use serde_json::Value;
 
 use super::jobs::{self, Job, Made, Protocol};
 
-/// A job that is done.
+/// Finished job.
 #[derive(Clone, Debug)]
 pub(super) struct Record {
     pub(super) file: PathBuf,
     pub(super) made: Made,
-    /// What `centaur train --json` said.
+    /// Output of `centaur train --json`.
     pub(super) result: Value,
 }
 
-/// What a training said besides its numbers.
+/// Notes of a training.
 pub(super) fn notes(result: &Value) -> impl Iterator<Item = &str> {
     result["notes"].as_array().into_iter().flatten().filter_map(Value::as_str)
 }
 
-/// All results in a folder, `*/*.json`, by name.
+/// All results in a folder, `*/*.json`, sorted by name.
 pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
     let mut records = vec![];
     for variant in entries(folder)?.into_iter().filter(|path| path.is_dir()) {
         for file in entries(&variant)?.into_iter().filter(|path| path.extension().is_some_and(|e| e == "json")) {
-            // `centaur eval` may write here, too, and others what they like, but for names of results.
+            // `centaur eval` and others may write here, too, except under names of results.
             let is_ours = is_named_as_a_result(&file);
             let record = match read(file) {
                 Ok(Some(record)) => record,
@@ -44,13 +44,13 @@ pub(super) fn all(folder: &Path) -> Result<Vec<Record>> {
     Ok(records)
 }
 
-/// `SCENE-SEED.json`, as [`Made::place`] has it.
+/// Whether a file is named `SCENE-SEED.json`, as by [`Made::place`].
 fn is_named_as_a_result(file: &Path) -> bool {
     let seed = |stem: &str| stem.rsplit_once('-').is_some_and(|(_, seed)| seed.parse::<u64>().is_ok());
     file.file_stem().and_then(|stem| stem.to_str()).is_some_and(seed)
 }
 
-/// The result in a file, if it is one of a training.
+/// Result in a file, if it is one of a training.
 pub(super) fn read(file: PathBuf) -> Result<Option<Record>> {
     let name = || file.display().to_string();
     let advised = || format!("{}: no result of a training; delete it to do that job anew", name());
@@ -60,13 +60,13 @@ pub(super) fn read(file: PathBuf) -> Result<Option<Record>> {
     }
     let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
     let made = Made::deserialize(made).with_context(name)?;
-    // Older ones have whole paths, and flags of scenes that others had replaced.
+    // Older results have whole paths, and flags of scenes that others had replaced.
     let flags = jobs::as_kept(&made.flags);
     let made = Made { scene_flags: jobs::left_of(&jobs::as_kept(&made.scene_flags), &flags), flags, ..made };
     Ok(Some(Record { file, made, result }))
 }
 
-/// What is in a folder, if there is one, by name.
+/// Entries of a folder, sorted by name; empty if it does not exist.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     let listed = match std::fs::read_dir(folder) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(vec![]),
@@ -77,7 +77,7 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// Refuses results of another protocol.
+/// Rejects results of another protocol.
 pub(super) fn check_protocol(records: &[Record], expected: Option<Protocol>) -> Result<()> {
     let name = |p: Option<Protocol>| p.map_or("none".to_owned(), |p| p.to_string());
     records.iter().find(|record| record.made.protocol != expected).map_or(Ok(()), |Record { file, made, .. }| {
@@ -86,8 +86,8 @@ pub(super) fn check_protocol(records: &[Record], expected: Option<Protocol>) -> 
     })
 }
 
-/// Refuses results that the jobs' own would not compare with: of another protocol, in a variant of theirs of other flags, or of a scene of
-/// theirs that is another capture or has other flags in `scenes.json`.
+/// Rejects results that are not comparable with those of the jobs: of another protocol, of the same variant with other
+/// flags, or of the same scene with another capture or other flags in `scenes.json`.
 pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
     let jobs: Vec<(Made, &Job)> = jobs.iter().map(|job| (job.made(0), job)).collect();
     jobs.first().map_or(Ok(()), |(job, _)| check_protocol(records, job.protocol))?;
@@ -101,7 +101,7 @@ pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
             );
         }
         if let Some((_, job)) = jobs.iter().find(|(job, _)| job.scene == made.scene) {
-            // Another variant may be of smaller photographs.
+            // Another variant may use smaller photographs.
             let images = jobs::images_of(made);
             let found =
                 captures.entry((&made.scene, images.clone())).or_insert_with(|| job.fingerprint(images.as_deref()));
@@ -111,7 +111,7 @@ pub(super) fn check(records: &[Record], jobs: &[Job]) -> Result<()> {
                 "{file}: expected a result of {capture}, found that of other cameras, photographs, masks or points: give -o another folder"
             );
         }
-        // A variant's own size takes the place of its scenes'.
+        // A variant's own size replaces that of its scenes.
         let is_other =
             |job: &Made| job.variant == made.variant && job.scene == made.scene && job.scene_flags != made.scene_flags;
         if let Some((job, _)) = jobs.iter().find(|(job, _)| is_other(job)) {

@@ -1,4 +1,4 @@
-//! What came of it, beside what others have published.
+//! Table of the results, beside published ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -13,32 +13,32 @@ use super::jobs::{self, Made, Protocol};
 use super::published::{self, Known};
 use super::record::{self, Record};
 
-/// One scene, or the mean of a variant's scenes.
+/// Row of a scene, or of the mean over a variant's scenes.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Row {
     scene: String,
-    /// Runs that it is the mean of.
+    /// Number of runs of which the row is the mean.
     runs: usize,
     masked: Masked,
     psnr: Option<f64>,
-    /// Of windows inside the picture under protocol A, as `NerfBaselines` has it; else INRIA's.
+    /// SSIM over windows inside the image under protocol A, as by `NerfBaselines`; otherwise INRIA's.
     ssim: Option<f64>,
     flip: Option<f64>,
     lpips: Option<Lpips>,
     splats: Option<f64>,
-    /// Of meshes: 0 of splats alone.
+    /// Number of mesh triangles; 0 for splats only.
     triangles: Option<f64>,
     total_floats: Option<f64>,
     file_bytes: Option<f64>,
-    /// Of all phases. None of jobs that shared the machine, or may have, in any of their runs.
+    /// Time of all phases. None for jobs that shared, or may have shared, the machine in any of their runs.
     training_seconds: Option<f64>,
-    /// Of the joint phase. None of such jobs.
+    /// Time per iteration of the joint phase. None for jobs that shared, or may have shared, the machine in any run.
     seconds_per_iteration: Option<f64>,
-    /// None of jobs that shared the machine, or may have.
+    /// Frames per second. None for jobs that shared, or may have shared, the machine.
     fps: Option<f64>,
 }
 
-/// Which views were scored with photograph and render multiplied by a mask. Scores of one kind do not compare with those of another.
+/// Views scored with photograph and render multiplied by a mask. Scores of different kinds are not comparable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Masked {
@@ -51,9 +51,9 @@ enum Masked {
 #[derive(Clone, Debug, Serialize)]
 struct Lpips {
     net: String,
-    /// Colours from −1 to 1.
+    /// Distance with colours from −1 to 1.
     normalized: f64,
-    /// Colours from 0 to 1.
+    /// Distance with colours from 0 to 1.
     unnormalized: f64,
 }
 
@@ -61,34 +61,34 @@ struct Lpips {
 struct Section {
     variant: String,
     flags: Vec<String>,
-    /// Of those scenes that have flags of their own, from `scenes.json`.
+    /// Flags by scene, for scenes that have flags of their own in `scenes.json`.
     scene_flags: BTreeMap<String, Vec<String>>,
     notes: Vec<Note>,
     rows: Vec<Row>,
-    /// Of the scenes that all variants have, if there are any.
+    /// Mean over the scenes common to all variants, if there are any.
     mean: Option<Row>,
 }
 
-/// What trainings of a variant said.
+/// Note given by trainings of a variant.
 #[derive(Clone, Debug, Serialize)]
 struct Note {
-    /// Without the capture's place, if it is called as its scene.
+    /// Text of the note, without the capture's path if its folder is named like the scene.
     text: String,
-    /// By which it was said.
+    /// Scenes whose trainings gave the note.
     scenes: BTreeSet<String>,
 }
 
-/// What others print of the same scenes.
+/// Published result on the same scenes.
 #[derive(Clone, Debug, Serialize)]
 struct Published {
     method: &'static str,
-    /// Of what, where not of these scenes.
+    /// Description of the images or scenes, if other than these.
     over: Option<&'static str>,
     psnr: f64,
     ssim: Option<f64>,
-    /// None where ours is not of the same network.
+    /// LPIPS; none if ours uses another network.
     lpips: Option<f64>,
-    /// Whether that is of colours −1…1; else 0…1.
+    /// Whether `lpips` uses colours −1…1; otherwise 0…1.
     lpips_normalized: bool,
 }
 
@@ -97,22 +97,23 @@ struct Published {
 pub(super) struct Table {
     protocol: Option<Protocol>,
     scores: String,
-    /// Of the SSIM in the table, whatever `scores` says of others.
+    /// Convention of the table's SSIM, whatever conventions `scores` also lists.
     ssim_convention: &'static str,
     adapters: BTreeSet<String>,
-    /// Scenes that all variants have.
+    /// Scenes common to all variants.
     common: BTreeSet<String>,
     variants: Vec<Section>,
     published: Vec<Published>,
-    /// What those are.
+    /// Description of the published results.
     published_note: Option<&'static str>,
 }
 
 impl Table {
-    /// Of the results in `folder`.
+    /// Builds the table of the results in `folder`.
     ///
     /// # Errors
-    /// If they are of several protocols, those of a variant of several flags, or those of a scene of several flags in `scenes.json`.
+    /// If the results are of several protocols, those of a variant have different flags, or those of a scene have
+    /// different flags in `scenes.json`.
     pub(super) fn new(done: &[Record], folder: &Path) -> Result<Self> {
         let folder = folder.display();
         let protocol = done.first().and_then(|record| record.made.protocol);
@@ -169,11 +170,11 @@ impl Table {
     }
 }
 
-/// Notes below the table. Numbers in them may make one of every job.
+/// Upper bound on notes below the table. Notes with numbers may differ for every job.
 const MOST_NOTES: usize = 20;
 
 impl Note {
-    /// All that are different, as they come.
+    /// Distinct notes, in order of occurrence.
     fn of(own: &[&Record]) -> Vec<Self> {
         let mut notes: Vec<Self> = vec![];
         for Record { made: Made { scene, .. }, result, .. } in own {
@@ -226,7 +227,7 @@ impl Section {
 }
 
 impl Masked {
-    /// As far as the result says.
+    /// Kind of masking, as far as the result states it.
     fn of(record: &Record) -> Self {
         let views = record.result["evaluation"]["views"].as_array().map_or(&[][..], Vec::as_slice);
         match views.iter().filter(|view| view["masked"] == true).count() {
@@ -236,7 +237,7 @@ impl Masked {
         }
     }
 
-    /// After a scene's name.
+    /// Mark after a scene's name.
     fn mark(self) -> &'static str {
         match self {
             Self::None => "",
@@ -250,7 +251,7 @@ impl Row {
     fn of(record: &Record) -> Self {
         let e = &record.result["evaluation"];
         let number = |name: &str| e[name].as_f64();
-        // JSON has no infinity: that of a view like its photograph is null, and so is the mean then.
+        // JSON has no infinity: the PSNR of a view equal to its photograph is null, and so is then the mean.
         let psnr = number("psnr").or_else(|| e.get("psnr")?.is_null().then_some(f64::INFINITY));
         let time = |name: &str| number(name).filter(|_| record.made.at_a_time == 1);
         let lpips = &e["lpips"];
@@ -278,7 +279,8 @@ impl Row {
         }
     }
 
-    /// Of numbers that all rows have, of scores of the same kind of [`Masked`], and of distances by one network.
+    /// Mean of the rows: of numbers that all rows have, of scores of the same kind of [`Masked`], and of distances by
+    /// one network.
     fn mean(scene: &str, rows: &[Self]) -> Self {
         let mean = |value: &dyn Fn(&Self) -> Option<f64>| {
             rows.iter().map(value).sum::<Option<f64>>().filter(|_| !rows.is_empty()).map(|sum| sum / rows.len() as f64)
@@ -350,7 +352,7 @@ impl Table {
     }
 }
 
-/// Markdown.
+/// Formats the table as Markdown.
 impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sizes = match self.protocol {
@@ -381,7 +383,7 @@ impl fmt::Display for Table {
         writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for section in &self.variants {
             for row in &section.rows {
-                // A scene's name may be any that a folder has.
+                // A scene may have any name that a folder can have.
                 let scene = one_line(&row.scene).replace('|', "\\|");
                 writeln!(f, "| {} | {scene}{} | {} |", section.variant, row.masked.mark(), row.cells())?;
             }
@@ -424,7 +426,7 @@ impl fmt::Display for Table {
     }
 }
 
-/// Of the pictures that a result was scored on, as far as it says.
+/// Longer sides of the images on which a result was scored, as far as it states them.
 fn longer_sides(record: &Record) -> Vec<u64> {
     let side = |view: &Value| view["size"].as_array()?.iter().filter_map(Value::as_u64).max();
     record.result["evaluation"]["views"].as_array().map_or(vec![], |views| views.iter().filter_map(side).collect())

@@ -1,4 +1,4 @@
-//! Jobs being done: each a training in a process of its own, whose memory is gone with it.
+//! Execution of jobs: each is a training in its own process, whose memory is released with it.
 
 use std::fs::{OpenOptions, TryLockError};
 use std::io::{self, Write as _};
@@ -20,19 +20,19 @@ use super::jobs::{self, Job, Made};
 use super::record;
 use crate::cli::{interrupt, output};
 
-/// How a job ended that did not fail.
+/// Outcome of a job that did not fail.
 enum Ended {
-    /// With what the training had to say.
+    /// Done, with the training's notes.
     Done(Vec<String>),
-    /// By Ctrl-C; there is a checkpoint.
+    /// Interrupted by Ctrl-C; there is a checkpoint.
     Interrupted,
-    /// Another runner does it, or has just done it.
+    /// Done, or being done, by another runner.
     Elsewhere,
 }
 
-/// How all of them ended.
+/// Outcome of all jobs.
 pub(super) struct Outcome<'j> {
-    /// With reasons.
+    /// Failed jobs, with reasons.
     pub(super) failed: Vec<(&'j Job, String)>,
     /// Without a result: another runner is at them, or the run was stopped.
     pub(super) left: Vec<&'j Job>,
@@ -103,7 +103,7 @@ fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Result<Outco
                         Ok(Ended::Elsewhere) => {}
                         Err(reason) => {
                             let line = one_line(&format!("{}: {reason:#}", job.name())).into_owned();
-                            // A hidden bar says nothing.
+                            // A hidden progress bar prints nothing.
                             if bar.is_hidden() {
                                 let _ = writeln!(io::stderr(), "{line}");
                             } else {
@@ -127,7 +127,7 @@ fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Result<Outco
     Ok(Outcome { failed, left, is_stopped })
 }
 
-/// Before the number of jobs at a time in the first line of a lock.
+/// Text before the number of concurrent jobs in the first line of a lock file.
 const AT_A_TIME: &str = "jobs at a time: ";
 
 /// One training, unless somebody else is at it. `at_a_time` as in [`Made`], of this run of the job.
@@ -135,7 +135,8 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if let Some(folder) = job.result.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    // Held by processes, so that those that are killed leave none behind. Not truncated: it may be another's.
+    // Locks are held by processes, so killed ones leave none behind. Not truncated, because the file may be another
+    // runner's.
     let path = job.result.with_extension("lock");
     let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
     let lock = open.with_context(|| path.display().to_string())?;
@@ -150,23 +151,23 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         Err(TryLockError::Error(e)) => return Err(e).with_context(|| path.display().to_string()),
     }
     if job.result.is_file() {
-        // It was removed when that was written.
+        // The other runner removed the lock file when it had written the result.
         let _ = std::fs::remove_file(path);
         return Ok(Ended::Elsewhere);
     }
-    // The time of its iterations is of all its runs.
+    // The time per iteration covers all runs of the job.
     let line = |at_a_time: usize| format!("{AT_A_TIME}{at_a_time}\n");
     let was_so = || std::fs::read_to_string(&path).is_ok_and(|lock| lock.starts_with(&line(at_a_time)));
     let is_begun = job.is_begun();
     let at_a_time = if is_begun && !was_so() { 0 } else { at_a_time };
     let mut command = Command::new(this_program()?);
-    // As lists of processes show it.
+    // Name shown in lists of processes.
     #[cfg(unix)]
     command.arg0(std::env::args_os().next().unwrap_or_else(|| "centaur".into()));
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     if cfg!(unix) {
-        // As its stderr the training holds the lock, too, and until it ends: after this process is killed, it still writes a
-        // checkpoint. On Windows a lock is of one process, and keeps others from writing.
+        // As its stderr, the training holds the lock, too, until it ends: after this process is killed, it still writes
+        // a checkpoint. On Windows a lock belongs to one process, and keeps others from writing.
         lock.set_len(0)
             .and_then(|()| (&lock).write_all(line(at_a_time).as_bytes()))
             .and_then(|()| lock.try_clone())
@@ -174,7 +175,8 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
             .context("cannot hold a lock")?;
     }
     let mut child = command.spawn().context("cannot start a training")?;
-    // It stops, with a checkpoint, when this ends: at Ctrl-C, a termination, a hangup, and where this process is killed.
+    // The training stops, with a checkpoint, when its stdin closes: at Ctrl-C, a termination, a hangup, and when this
+    // process is killed.
     let mut input = child.stdin.take();
     let waiting = std::thread::spawn(move || child.wait_with_output());
     while !waiting.is_finished() {
@@ -203,7 +205,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         serde_json::to_value(Made { capture: job.fingerprint(jobs::images_of(&made).as_deref()), ..made })?
     };
     atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
-    // Whoever still has it open looks for the result first.
+    // Runners that still have it open check for the result first.
     let _ = std::fs::remove_file(path);
     Ok(Ended::Done(record::notes(&result).map(str::to_owned).collect()))
 }
@@ -220,7 +222,8 @@ fn advice(reason: &str, checkpoint: &Path) -> &'static str {
     if is_refused { ": delete that file to do the job anew, or give the variant another name" } else { "" }
 }
 
-/// Also where another has taken its place, as one that is installed meanwhile: all jobs are done by one program.
+/// Path of the running program, even if another has replaced it, such as a new installation: all jobs are done by one
+/// program.
 fn this_program() -> Result<PathBuf> {
     let running = Path::new("/proc/self/exe");
     if cfg!(target_os = "linux") && running.exists() {

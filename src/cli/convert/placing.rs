@@ -1,4 +1,4 @@
-//! What was written beside an output comes to its place, over nothing that is another's.
+//! Placement of files written to a staging folder, without replacing foreign files.
 
 use std::fs::File;
 use std::io::{self, BufRead as _, BufReader, Read as _};
@@ -10,19 +10,19 @@ use centaur::format::{self, Sharing};
 
 use crate::cli::output;
 
-/// A file that belongs beside the output.
+/// File that accompanies the output.
 struct Companion {
     staged: PathBuf,
     place: PathBuf,
 }
 
 impl Companion {
-    /// Plug-ins are of the program, and no part of a scene.
+    /// Whether the file is a plug-in, which belongs to the program and not to a scene.
     fn is_plugin(&self) -> bool {
         format::has_extension(&self.place, &["py"])
     }
 
-    /// How to keep what is there.
+    /// Advice on how to keep the existing file.
     fn other_ways(&self) -> &'static str {
         if self.is_plugin() {
             "a folder of its own keeps both"
@@ -31,14 +31,14 @@ impl Companion {
         }
     }
 
-    /// Whether another file has its place.
+    /// Whether a different file exists at its place.
     fn replaces(&self) -> io::Result<bool> {
         Ok(self.place.exists() && !is_equal(&self.staged, &self.place)?)
     }
 }
 
-/// Moves all files of `staging` to the folder of `place`, which `output` leads to and is the place of the one of its name: all of them or
-/// none. What is to be said of it.
+/// Moves all files of `staging` to the folder of `place`, the path to which `output` leads and at which the file of its
+/// name belongs: all of them or none. Returns notes.
 pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[PathBuf]) -> Result<Vec<String>> {
     let named = || format!("{}: cannot write", output.display());
     let name = output.file_name().unwrap_or_default();
@@ -52,7 +52,7 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
     }
     spare_foreign(output, &companions, inputs)?;
     let shown = showing(output, &place.with_file_name(name), &companions)?;
-    // A file that names others must not be there before they are.
+    // A file that refers to others must not appear before them.
     let all = companions.iter().map(|file| (&*file.staged, &*file.place));
     let staged = staging.path().join(name);
     let files: Vec<(&Path, &Path)> = all.chain([(&*staged, place)]).collect();
@@ -63,7 +63,7 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
     Ok(shown.into_iter().map(note).collect())
 }
 
-/// Refuses to write over what nobody has named: an input, or another's file where the output is not the one it belongs to.
+/// Rejects overwriting files that the user has not named: inputs, or companions of another output.
 fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) -> Result<()> {
     let is_own = names_one_of(output, companions).with_context(|| output.display().to_string())?;
     for file in companions {
@@ -80,7 +80,7 @@ fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) ->
     Ok(())
 }
 
-/// Whether the output is there, with one of these beside it, as its text says.
+/// Whether the output exists and, by its text, has one of these companions.
 fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
     let own = companions.iter().filter(|file| !file.is_plugin());
     let own: Vec<&[u8]> = own.filter_map(|file| Some(file.place.file_name()?.as_encoded_bytes())).collect();
@@ -89,7 +89,7 @@ fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
     };
     let (mut file, mut text) = (File::open(output)?, vec![]);
     loop {
-        // A name may lie across what is read at once.
+        // A name may span two reads.
         text.drain(..text.len().saturating_sub(longest));
         if (&mut file).take(1 << 20).read_to_end(&mut text)? == 0 {
             return Ok(false);
@@ -100,8 +100,8 @@ fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
     }
 }
 
-/// Other exports that show companions of `output` as they were, and whose names differ as little as what they are for; an error for
-/// others.
+/// Other exports that use companions of `output` in their former version and whose names differ from it by their ending
+/// only; an error for other exports.
 fn showing(output: &Path, beside: &Path, companions: &[Companion]) -> Result<Vec<Sharing>> {
     let named = || format!("{}: cannot write", output.display());
     let shown = format::sharing(beside).with_context(named)?;
@@ -127,7 +127,7 @@ fn showing(output: &Path, beside: &Path, companions: &[Companion]) -> Result<Vec
     Ok(shown)
 }
 
-/// Whether two files have one content.
+/// Whether two files have equal content.
 fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
     let [of_a, of_b] = [a.metadata()?, b.metadata()?];
     if of_a.len() != of_b.len() || of_a.is_file() != of_b.is_file() {

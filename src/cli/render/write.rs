@@ -1,4 +1,4 @@
-//! The files of `centaur render`.
+//! Output files of `centaur render`.
 
 use std::path::Path;
 
@@ -12,10 +12,10 @@ use image::{RgbImage, RgbaImage};
 use super::{Args, Compression, ExrType, Format};
 use crate::cli::eval::write_png;
 
-/// What no surface is at, in channels of depth: beyond all, as other programs write it.
+/// Depth where there is no surface: beyond everything, as other programs write it.
 const NO_DEPTH: f32 = 1e10;
 
-/// One file, and what it says besides colours.
+/// Output file, and its metadata.
 pub(super) struct File<'a> {
     pub(super) path: &'a Path,
     pub(super) camera: &'a Camera,
@@ -24,7 +24,7 @@ pub(super) struct File<'a> {
 }
 
 impl File<'_> {
-    /// A picture over the background, or with alpha in its place.
+    /// Writes an image over the background, or with alpha instead.
     pub(super) fn picture(&self, picture: Picture) -> Result<()> {
         let alpha = self.args.look.alpha;
         let size = [picture.width, picture.height];
@@ -53,7 +53,7 @@ impl File<'_> {
         }
     }
 
-    /// In linear light, premultiplied as EXR has it.
+    /// Writes EXR in linear light, premultiplied by convention of EXR.
     fn exr(&self, size: [u32; 2], colors: &[[f32; 4]], alpha: bool) -> Result<()> {
         let decode: fn(f32) -> f32 = match self.composition.color_space {
             ColorSpace::SrgbDisplay => srgb_to_linear,
@@ -68,7 +68,7 @@ impl File<'_> {
         Ok(format::write_exr(self.path, size, channels, &self.header(ColorSpace::LinearDisplay, comment))?)
     }
 
-    /// What the picture is made of.
+    /// Writes the parts of the image.
     pub(super) fn layers(&self, picture: LayeredPicture) -> Result<()> {
         let size = [picture.width, picture.height];
         let depth = |name: &str, values: Vec<f32>| {
@@ -109,14 +109,14 @@ impl File<'_> {
     }
 }
 
-/// Of a PNG, whose colours end at 1: what is brighter than its alpha keeps its brightness.
+/// Pixel of a PNG, whose colours end at 1: colours brighter than their alpha keep their brightness by raising it.
 fn pixel(premultiplied: &[f32; 4], encode: fn(f32) -> f32) -> [u8; 4] {
     let alpha = premultiplied.iter().copied().fold(0.0, f32::max).min(1.0);
     let [r, g, b, _] = straight(premultiplied, alpha);
     [encode(r), encode(g), encode(b), alpha].map(to_byte)
 }
 
-/// Colours without the alpha that they are multiplied by; 0 where there is none.
+/// Colours divided by their alpha; 0 where alpha is 0.
 fn straight(&[r, g, b, _]: &[f32; 4], alpha: f32) -> [f32; 4] {
     let color = |c: f32| if alpha > 0.0 { c / alpha } else { 0.0 };
     [color(r), color(g), color(b), alpha]

@@ -1,4 +1,4 @@
-//! What `centaur train` is asked for.
+//! Arguments of `centaur train`.
 
 use std::path::PathBuf;
 
@@ -32,7 +32,7 @@ Examples:
 /// --resume, or after the current view and leave the scene without scores, with the exit code of a program that the signal has ended (130 of
 /// Ctrl-C); a second Ctrl-C stops at once. A scene of that name is replaced when all is done, not before. The method is HERA's ("the
 /// paper": Cai et al., CVPR 2025), on 3D Gaussian splatting (3DGS); docs/method.md lists the defaults that differ from theirs, and why.
-// A flag given again replaces the former: variants of `centaur bench` change what all have.
+// A flag given again replaces the former, so that variants of `centaur bench` can override common flags.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
 pub(in crate::cli) struct Args {
@@ -318,10 +318,11 @@ impl Args {
         }
     }
 
-    /// Flags that have no effect beside another, and which that is. Variants of `centaur bench` share them with others: they are no mistake.
+    /// Flags that have no effect beside another one, with that one. Not an error, because flags are shared by variants
+    /// of `centaur bench`.
     pub(super) fn idle(&self) -> Vec<(&'static str, Vec<&'static str>)> {
         let usual = TrainOptions::default();
-        // Of a surface that is found.
+        // Flags for reconstructed surfaces.
         let mut of_meshes = vec![
             (self.surface_iterations.is_some(), "--surface-iterations"),
             (self.triangles != usual.triangles, "--triangles"),
@@ -329,7 +330,7 @@ impl Args {
             (!self.shell.is_auto(), "--shell"),
         ];
         if self.no_mesh {
-            // Of any.
+            // Flags for any mesh.
             of_meshes.extend([
                 (self.warmup.is_some_and(|iterations| iterations > 0), "--warmup"),
                 (self.dense_texels, "--dense-texels"),
@@ -354,7 +355,7 @@ impl Args {
         idle.filter(|(_, others)| !others.is_empty()).collect()
     }
 
-    /// What can be known to fail before the first iteration.
+    /// Checks everything that can be known to fail before the first iteration.
     pub(super) fn check(&self) -> Result<()> {
         if let Some(report) = &self.report {
             let files = [Some(&self.output), self.ply.as_ref(), Some(&self.checkpoint())];
@@ -364,7 +365,7 @@ impl Args {
             }
         }
         output::check_file(&self.output)?;
-        // Also where none is to be saved on the way: Ctrl-C does.
+        // Also if no checkpoint is to be saved on the way, because Ctrl-C saves one.
         output::check_file(&self.checkpoint())?;
         output::spare(&self.output, self.mesh.as_deref())?;
         if let Some(ply) = &self.ply {
@@ -405,14 +406,14 @@ impl Args {
         }
     }
 
-    /// Beside the output: `scene.glb.checkpoint`.
+    /// Path of the checkpoint beside the output: `scene.glb.checkpoint`.
     pub(super) fn checkpoint(&self) -> PathBuf {
         let mut name = self.output.clone().into_os_string();
         name.push(".checkpoint");
         name.into()
     }
 
-    /// Where the mesh comes from, and what its reader says of it.
+    /// Source of the mesh, and notes of its reader.
     pub(super) fn mesh(&self, capture: &Capture) -> Result<(MeshSource, Vec<String>)> {
         let Some(file) = &self.mesh else {
             let source = match (self.no_mesh, self.surface) {
@@ -433,21 +434,22 @@ impl Args {
     }
 }
 
-/// What there is to do where points are missing.
+/// Advice where points are missing.
 const WITHOUT_POINTS: &str = "--no-points begins with splats at random places that the cameras look at";
 
-/// A point is at a surface that is no farther from it than this part of the extent of the cameras …
+/// Distance at which a point counts as on a surface, relative to the extent of the cameras.
 const AT_SURFACE: f64 = 0.1;
-/// … and a surface misses the points if no more than this part of so many of them is at it: of an object in a large scene there are few.
+/// Fraction of `SOME_POINTS` sampled points up to which a surface counts as missing the points: an object in a large
+/// scene has few.
 const LEAST_AT_SURFACE: f64 = 0.002;
 const SOME_POINTS: usize = 2000;
 
-/// Whether a surface lies elsewhere than the capture's points, as one in another unit or frame does.
+/// Whether a surface is in another place than the capture's points, as with another unit or frame.
 fn misses_points(surface: &Surface, capture: &Capture) -> bool {
     let reach = AT_SURFACE * capture::extent(&capture.cameras());
     let step = capture.points.len().div_ceil(SOME_POINTS).max(1);
     let points: Vec<DVec3> = capture.points.iter().step_by(step).map(|point| point.position).collect();
-    // Few points, or cameras in one place, say nothing of where a surface is.
+    // Few points, or cameras in one place, do not determine where a surface is.
     if points.len() < 100 || reach == 0.0 {
         return false;
     }

@@ -1,4 +1,4 @@
-//! What a training says beside its numbers: before it begins, where it fails, and at its end.
+//! Notes of a training: before it begins, on failure, and at its end.
 
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ pub(super) fn in_words(surface: SurfaceOrigin) -> &'static str {
     }
 }
 
-/// How far poses were refined, if they were.
+/// Note on how far poses were refined, if they were.
 pub(super) fn moved(trained: &Trained) -> Option<String> {
     let median = |of: fn(&RefinedPose) -> f64| {
         let mut values: Vec<f64> = trained.poses.iter().map(|(_, pose)| of(pose)).collect();
@@ -35,10 +35,10 @@ pub(super) fn moved(trained: &Trained) -> Option<String> {
     Some(format!("moved by {distance:.4} (median), {degrees:.2}° (median)"))
 }
 
-/// To this INRIA 3DGS scales wider photographs down unless told otherwise (`utils/camera_utils.py`).
+/// Width to which INRIA 3DGS by default downscales wider photographs (`utils/camera_utils.py`).
 const USUAL_WIDTH: u32 = 1600;
 
-/// Said before the training: a capture that lacks something is better mended than trained for hours.
+/// Notes before the training: defects of a capture are better repaired before training for hours.
 pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores: bool) -> Vec<String> {
     let lacks = [
         (
@@ -90,7 +90,8 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .collect()
 }
 
-/// Where up may point in the world of a capture but for −y, and the right-handed frame of which it is up, as `centaur convert --axes` calls it.
+/// Up directions, other than −y, of a capture's world, each with the right-handed frame of that up direction, as named
+/// by `centaur convert --axes`.
 const UPS: [(&str, DVec3, &str); 5] = [
     ("+z", DVec3::Z, "z-up"),
     ("+y", DVec3::Y, "y-up"),
@@ -98,12 +99,13 @@ const UPS: [(&str, DVec3, &str); 5] = [
     ("+x", DVec3::X, "UBR"),
     ("−x", DVec3::NEG_X, "DRB"),
 ];
-/// Cosine of the angle with −y of what is still taken for upright.
+/// Cosine of the largest angle with −y that still counts as upright.
 const UPRIGHT: f64 = 0.5;
-/// Length of the mean of the views' unit vectors from which on they have an up in common: turned all ways they have none.
+/// Least length of the mean of the views' up vectors for a common up direction: views rotated in all ways have none.
 const IN_COMMON: f64 = 0.3;
 
-/// The one of [`UPS`] that up is nearest to for these cameras; none if it is about −y, which half a turn about x makes the +y of glTF.
+/// Element of [`UPS`] nearest to the up direction of these cameras; none if that is approximately −y, which half a turn
+/// about x makes the +y of glTF.
 fn up_of(cameras: &[Camera]) -> Option<(&'static str, &'static str)> {
     let sum: DVec3 = cameras.iter().map(|camera| -camera.rotation().row(1)).sum();
     let up = sum / cameras.len().max(1) as f64;
@@ -114,8 +116,8 @@ fn up_of(cameras: &[Camera]) -> Option<(&'static str, &'static str)> {
     Some((nearest.0, nearest.2))
 }
 
-/// Where up is elsewhere in the world of a capture than COLMAP has it for photographs that were taken upright, as in those of many
-/// `transforms.json`: the scene keeps that world.
+/// Note if the capture's up direction differs from COLMAP's for upright photographs, as in many `transforms.json`: the
+/// scene keeps that world.
 fn lies(args: &Args, capture: &Capture) -> Option<String> {
     let (axis, frame) = up_of(&capture.cameras())?;
     let how = if axis == "+y" { "upside down" } else { "lying" };
@@ -126,10 +128,10 @@ fn lies(args: &Args, capture: &Capture) -> Option<String> {
     ))
 }
 
-/// How many photographs there are beside its own that it does not list: structure from motion may have found a part of the poses, or several
-/// models.
+/// Note on the number of photographs beside the capture's own that it does not list: structure from motion may have
+/// found a part of the poses, or several models.
 fn not_listed(args: &Args, capture: &Capture) -> Option<String> {
-    // Elsewhere there may be depths and normals among them, as in NeRF-synthetic.
+    // Other folders may contain depths and normals, as in NeRF-synthetic.
     let folder = if args.capture.is_dir() { &args.capture } else { folder_of(&args.capture) };
     let root = folder.join(args.loading.pictures.images.as_deref().unwrap_or("images"));
     let listed: HashSet<&Path> = capture.views.iter().map(|view| view.source.path()).collect();
@@ -143,14 +145,15 @@ fn not_listed(args: &Args, capture: &Capture) -> Option<String> {
     (own < all).then(|| format!("lists {own} of the {all} photographs: the others are left out"))
 }
 
-/// Whether its views say that they are of different times.
+/// Whether the views state different times.
 fn shows_motion(capture: &Capture) -> bool {
     let mut times = capture.views.iter().map(|view| view.source.time());
     let first = times.next().flatten();
     times.any(|time| time != first)
 }
 
-/// Where splats were held back: by what the adapter binds, or in density control by gradients, which has no number of its own to come to.
+/// Note if the number of splats was limited: by the adapter's bindings, or in density control by gradients, which has
+/// no target number.
 pub(super) fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
     let grown = trained.scene.splats.len() + trained.occluded_splats;
     if grown >= most_splats(gpu, args.sh_degree) {
@@ -176,7 +179,7 @@ fn why_no_mesh(trained: &Trained) -> String {
     }
 }
 
-/// Where a surface was wanted, or one of points, and there is less than that.
+/// Note if a surface, or one of points, was requested and less was made.
 pub(super) fn at_the_end(args: &Args, trained: &Trained) -> Option<String> {
     let no_mesh;
     let note = match (args.surface, trained.surface) {
@@ -195,7 +198,7 @@ pub(super) fn at_the_end(args: &Args, trained: &Trained) -> Option<String> {
     Some(format!("{}: {note}", args.capture.display()))
 }
 
-/// The failure, and what of this command changes it, or of a run that `has_saved` a checkpoint is left.
+/// Error with advice on which option of this command avoids it, or on the checkpoint of a run that `has_saved` one.
 pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> anyhow::Error {
     match (&error, &args.mesh) {
         (TrainError::Gpu(e), _) if e.is_lack_of_memory() => {

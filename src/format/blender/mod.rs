@@ -1,21 +1,21 @@
-//! Blender: `STEM.blend.py`, a script that builds the scene, renders it and saves it as .blend, and the files of
-//! [`super::exchange`] beside it.
+//! Blender export: `STEM.blend.py`, a script that builds the scene, renders it and saves it as .blend, and the
+//! accompanying files of [`super::exchange`].
 //!
-//! The script is the Python files of this folder one after the other, with what it has to know of the scene as JSON
-//! between the first and the second:
+//! The script is the concatenation of the Python files of this folder, with the scene data as JSON between the first
+//! and the second:
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
-//! | `head.py` | imports, so that it also loads where there is no Blender |
-//! | `splats.py` | splats as triangles whose order along rays is that of an image model; numpy alone |
+//! | `head.py` | imports, written so that the script also loads without Blender |
+//! | `splats.py` | splats as triangles, in the order along rays of an image model; uses numpy only |
 //! | `materials.py` | node graphs |
-//! | `build.py` | collection, meshes, splats and what they are made from when the camera moves |
-//! | `motion.py` | bones, shape keys and keys of whatever moves; splats that follow |
-//! | `cameras.py` | our cameras to Blender's and back |
+//! | `build.py` | collection, meshes, splats, and the data from which splats are rebuilt when the camera moves |
+//! | `motion.py` | bones, shape keys and keyframes of animated objects; splats that follow them |
+//! | `cameras.py` | conversion of our cameras to Blender's and back |
 //! | `pictures.py` | settings of Cycles, layers, EXR and PNG |
-//! | `main.py` | the command |
+//! | `main.py` | command line |
 //!
-//! `docs/dcc.md` says what is exact.
+//! `docs/dcc.md` states what is exact.
 
 mod motion;
 #[cfg(test)]
@@ -31,7 +31,7 @@ use super::gltf::moving::Moving;
 use super::{FormatError, Loss, WriteReport, atomic_write};
 use crate::scene::{Camera, ColorSpace, HybridScene, OrderMode};
 
-/// What names of scripts end with.
+/// File-name ending of scripts.
 pub(super) const SUFFIX: &str = ".blend.py";
 
 const PARTS: [&str; 8] = [
@@ -45,13 +45,14 @@ const PARTS: [&str; 8] = [
     include_str!("main.py"),
 ];
 
-/// Splats from which on building is worth a word of warning.
+/// Number of splats from which on a warning about build time is given.
 const MANY: usize = 2_000_000;
 
-/// Writes the script and what lies beside it, the script last.
+/// Writes the script and its accompanying files, the script last.
 ///
 /// # Errors
-/// If a file cannot be written, or what moves cannot be evaluated at a frame or is too much: then nothing is written.
+/// If a file cannot be written, or the animation cannot be evaluated at a frame or is too large; in the latter cases
+/// nothing is written.
 pub(super) fn write(
     path: &Path,
     scene: &HybridScene,
@@ -60,7 +61,7 @@ pub(super) fn write(
 ) -> Result<WriteReport, FormatError> {
     let stem = exchange::stem(path, SUFFIX);
     let (mut motion, mut notes, mut bytes, mut files) = (Value::Null, notes(scene), 0, vec![]);
-    // Before all else, as it can be refused.
+    // Written first, because it may be refused.
     if let Some(moving) = moving {
         let name = format!("{stem}_motion.npz");
         let mut written = motion::write((path, &name), scene, cameras, moving)?;
@@ -79,17 +80,17 @@ pub(super) fn write(
     Ok(WriteReport { bytes: beside.bytes + script.len() as u64, beside: beside.files, notes, loss })
 }
 
-/// Whether Cycles may show what the rule of blending does not: all surfaces count, in another order.
+/// Whether Cycles may differ from the composition: it blends all surfaces, and in another order.
 fn loses_rule(scene: &HybridScene) -> bool {
     loses_order(scene) || has_more_surfaces(scene)
 }
 
-/// Whether splats and surfaces are not to be in the order of depths at each pixel.
+/// Whether the composition orders splats and surfaces otherwise than by depth at each pixel.
 fn loses_order(scene: &HybridScene) -> bool {
     !scene.splats.is_empty() && !scene.meshes.is_empty() && scene.composition.mode != OrderMode::Direct
 }
 
-/// Whether a ray may meet more surfaces than count.
+/// Whether a ray may meet more surfaces than the composition blends.
 fn has_more_surfaces(scene: &HybridScene) -> bool {
     let triangles: usize = scene.meshes.iter().map(|mesh| mesh.triangles().len()).sum();
     triangles > scene.composition.layers as usize
@@ -97,7 +98,7 @@ fn has_more_surfaces(scene: &HybridScene) -> bool {
 
 fn script(scene: &Value) -> String {
     let [head, rest @ ..] = PARTS;
-    // The JSON stands in an ordinary string of Python's, whose end must not be in it.
+    // The JSON is inside an ordinary Python string, which it must not terminate.
     let scene = scene.to_string().replace('\'', "\\u0027");
     format!(
         "#!/usr/bin/env python3\n# Written by `centaur convert` for Blender 4.5 and later; --help says what it does.\n\
@@ -127,7 +128,7 @@ fn described(stem: &str, scene: &HybridScene, cameras: &[(String, Camera)], besi
     })
 }
 
-/// World to camera, OpenCV axes; the rotation row by row.
+/// World→camera parameters of a camera with OpenCV axes; rotation row-major.
 fn described_camera(name: &str, camera: &Camera) -> Value {
     let k = camera.intrinsics();
     json!({
@@ -136,7 +137,7 @@ fn described_camera(name: &str, camera: &Camera) -> Value {
     })
 }
 
-/// Where Cycles cannot do what the scene asks for.
+/// Notes on features of the scene that Cycles cannot reproduce.
 fn notes(scene: &HybridScene) -> Vec<String> {
     let (rule, splats) = (&scene.composition, scene.splats.len());
     let mut notes = vec![];
@@ -158,6 +159,6 @@ fn notes(scene: &HybridScene) -> Vec<String> {
     notes
 }
 
-/// Measured with Blender 4.5.15 on 2 cores at 100 000 splats of degree 3 in the construction `ewa`; at its peak.
+/// Peak values measured with Blender 4.5.15 on 2 cores, 100 000 splats of degree 3 in the construction `ewa`.
 const SECONDS_PER_SPLAT: f64 = 3e-5;
 const BYTES_PER_SPLAT: f64 = 2.2e3;

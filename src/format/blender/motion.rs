@@ -1,18 +1,18 @@
-//! What moves, for a script: `STEM_motion.npz`, numpy's arrays, with a row per frame where they change over time.
+//! Animation data of the script: `STEM_motion.npz`, numpy arrays, with one row per frame where they vary over time.
 //!
-//! | array | shape | what |
+//! | array | shape | content |
 //! |---|---|---|
-//! | `bones`, `bones_rest` | frames × bones × 4 × 4, bones × 4 × 4 | from the space of what hangs on a bone to the scene |
-//! | `binds` | bones × 4 × 4 | of joints of skins, where they are in the space of the surface |
-//! | `weights` | frames × weights | of morph targets |
-//! | `meshI_base` | vertices × 3 | mesh I before it is posed, vertices as in its PLY |
-//! | `meshI_deltas`, `meshI_weights` | targets × vertices × 3, targets | morph targets, and whose weights they have |
-//! | `meshI_joints`, `meshI_influences` | vertices × joints | bones of a skin and their weights; else `meshI_bone` |
-//! | `splat_bones` | splats | the bone that a splat follows, −1: none, −2: a triangle |
-//! | `splat_surfaces`, `splat_corners` | splats, splats × 3 | that triangle |
-//! | `splat_translations`, `splat_rotations`, `splat_scales` | splats × 3, 4, 3 | in its frame; quaternions w, x, y, z |
-//! | `splat_harmonics`, `splat_undeformed` | splats, splats × 4 | the bone that view dependence turns with; −1: the triangle, from this frame |
-//! | `cameras` | frames × cameras × 12 | rotation, by rows, and translation, world to camera |
+//! | `bones`, `bones_rest` | frames × bones × 4 × 4, bones × 4 × 4 | transform from the space of the objects that follow a bone to the scene |
+//! | `binds` | bones × 4 × 4 | bind transforms of skin joints in the space of the surface |
+//! | `weights` | frames × weights | weights of morph targets |
+//! | `meshI_base` | vertices × 3 | positions of mesh I before posing, vertices as in its PLY |
+//! | `meshI_deltas`, `meshI_weights` | targets × vertices × 3, targets | morph targets, and the indices of their weights |
+//! | `meshI_joints`, `meshI_influences` | vertices × joints | bones of a skin and their weights; meshes without a skin have `meshI_bone` |
+//! | `splat_bones` | splats | bone that a splat follows; −1: none, −2: a triangle |
+//! | `splat_surfaces`, `splat_corners` | splats, splats × 3 | mesh and vertices of the triangle that a splat follows |
+//! | `splat_translations`, `splat_rotations`, `splat_scales` | splats × 3, 4, 3 | splat in the frame of the bone or triangle; quaternions w, x, y, z |
+//! | `splat_harmonics`, `splat_undeformed` | splats, splats × 4 | bone with which view dependence rotates; −1: the triangle, relative to its undeformed frame |
+//! | `cameras` | frames × cameras × 12 | world→camera rotation, row-major, and translation |
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -32,22 +32,23 @@ use crate::format::{FormatError, atomic_write};
 use crate::scene::rig::{Anchor, Pose, Rig, ShFrame, Skinning};
 use crate::scene::{Camera, HybridScene, SceneError};
 
-/// Numbers that change with the frame at most, 512 MB of them; Blender makes of each a key, of five times the size.
+/// Upper bound on numbers that vary over time, 512 MB; Blender makes of each a keyframe of five times the size.
 const MOST_NUMBERS: usize = 1 << 26;
 
-/// Nodes that are placed at most, each at every frame: a minute's work.
+/// Upper bound on nodes to be placed, summed over frames: a minute of work.
 const MOST_NODES: usize = 1 << 28;
 
-/// What was written.
+/// Result of writing the animation.
 pub(super) struct Written {
-    /// What the script is told of it.
+    /// Description of the animation for the script.
     pub(super) told: Value,
     pub(super) bytes: u64,
-    /// What does not move as it should, one sentence each.
+    /// Notes on what does not move correctly, one sentence each.
     pub(super) notes: Vec<String>,
 }
 
-/// Writes the arrays to the file `name` beside `script`; `moved` is what the scene was moved by since it was read.
+/// Writes the arrays to the file `name` beside `script`; `moved` is the transform applied to the scene since it was
+/// read.
 pub(super) fn write(
     (script, name): (&Path, &str),
     scene: &HybridScene,
@@ -83,7 +84,7 @@ pub(super) fn write(
     Ok(Written { told, bytes: bytes.len() as u64, notes })
 }
 
-/// Refuses more than [`MOST_NUMBERS`] and [`MOST_NODES`].
+/// Rejects more than [`MOST_NUMBERS`] numbers or [`MOST_NODES`] nodes.
 pub(super) fn bounded(frames: usize, numbers: usize, nodes: usize) -> Result<(), Fault> {
     for (per_frame, most, what) in [
         (numbers, MOST_NUMBERS, format!("bones, weights and cameras of at most {MOST_NUMBERS} numbers over time")),
@@ -97,7 +98,8 @@ pub(super) fn bounded(frames: usize, numbers: usize, nodes: usize) -> Result<(),
     Ok(())
 }
 
-/// The rows of all cameras, frame by frame; `None` if none moves, or if one is not there all the time: which it is nobody knows.
+/// Rows of all cameras, frame by frame; `None` if no camera moves, or if one is missing at some time, which makes the
+/// assignment ambiguous.
 fn camera_rows(
     moving: &Moving,
     cameras: &[(String, Camera)],
@@ -106,7 +108,7 @@ fn camera_rows(
     notes: &mut Vec<String>,
 ) -> Result<Option<Vec<f64>>, Fault> {
     let (mut rows, mut moves) = (vec![], false);
-    // Without cameras there is nothing to be said of them.
+    // Without cameras, their evaluation would only cause errors or notes.
     for time in times.iter().filter(|_| !cameras.is_empty()) {
         let (now, _) = moving.cameras_at(*time)?;
         if !now.iter().map(|(name, _)| name).eq(cameras.iter().map(|(name, _)| name)) {
@@ -123,7 +125,7 @@ fn camera_rows(
     Ok(moves.then_some(rows))
 }
 
-/// A camera after the scene has been moved.
+/// Row of a camera after the scene has been transformed by `moved`.
 fn row(camera: &Camera, moved: DMat4) -> [f64; 12] {
     let Some(by) = similarity(moved).filter(|_| moved != DMat4::IDENTITY) else { return row_of(camera) };
     let rotation = camera.rotation() * glam::DMat3::from_quat(by.rotation.inverse());
@@ -136,11 +138,11 @@ fn row_of(camera: &Camera) -> [f64; 12] {
     std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] })
 }
 
-/// Arrays by name, as .npy.
+/// Named arrays in .npy format.
 #[derive(Default)]
 struct Arrays(Vec<(String, Vec<u8>)>);
 
-/// What numpy calls a type, and its bytes.
+/// Number type of an array: its numpy name and byte form.
 trait Number: Copy {
     const KIND: &'static str;
     fn append(self, bytes: &mut Vec<u8>);
@@ -164,7 +166,7 @@ impl Arrays {
     fn add<T: Number>(&mut self, name: &str, shape: &[usize], values: &[T]) {
         let sides: String = shape.iter().map(|n| format!("{n},")).collect();
         let mut header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({sides}), }}", T::KIND);
-        // With its magic, version and length it ends at a multiple of 64 bytes, in a line feed.
+        // The header, with magic, version and length, ends in a line feed at a multiple of 64 bytes.
         let padded = (10 + header.len() + 1).next_multiple_of(64);
         header.extend(std::iter::repeat_n(' ', padded - 11 - header.len()));
         header.push('\n');

@@ -1,4 +1,4 @@
-//! What a path must not be written over: captures, which lie in folders under the same names.
+//! Protection of captures, which have the same file names, from being overwritten or hidden by camera paths.
 
 use std::path::Path;
 
@@ -8,21 +8,22 @@ use crate::atomic::folder_of;
 use crate::format::FormatError;
 use crate::format::error::Fault;
 
-/// What a `transforms.json` of ours says that it was written by.
+/// Generator entry of `transforms.json` files that Centaur writes.
 pub(super) const GENERATOR: &str = "centaur cameras";
 
-/// What a model of ours consists of.
+/// Files of COLMAP models that Centaur writes.
 pub(super) const FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
 
-/// The last of these.
+/// Content of `points3D.txt` in COLMAP models that Centaur writes.
 pub(super) const NO_POINTS: &str = "# No points: a path of `centaur cameras`\n";
 
-/// Refuses a folder for a COLMAP model that holds anything of a capture but an earlier model of ours.
+/// Rejects a folder for a COLMAP model if it holds any part of a capture other than an earlier model of ours.
 pub(super) fn spare_in(folder: &Path) -> Result<(), FormatError> {
     refuse(folder, part_of_capture(folder, &["images"]).or_else(|| part_above(folder)))
 }
 
-/// What the folder above holds of a capture, whose model would be looked for in `folder` if that is called `colmap`.
+/// Part of a capture in the parent folder, if `folder` is called `colmap` and would therefore be searched for that
+/// capture's model.
 fn part_above(folder: &Path) -> Option<String> {
     let whole = folder.canonicalize().or_else(|_| std::path::absolute(folder)).ok()?;
     let is_looked_into = |path: &Path| path.file_name().is_some_and(|name| name.eq_ignore_ascii_case("colmap"));
@@ -33,7 +34,8 @@ fn part_above(folder: &Path) -> Option<String> {
     })
 }
 
-/// Refuses to put a `transforms*.json` in the place of one that is not ours, or where it would be read instead of a capture.
+/// Rejects a path for a `transforms*.json` if it would replace one that is not ours, or would be read instead of an
+/// existing capture.
 pub(super) fn spare(path: &Path) -> Result<(), FormatError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     if !is_transforms(&name) || is_our_transforms(path) {
@@ -48,7 +50,7 @@ fn refuse(target: &Path, found: Option<String>) -> Result<(), FormatError> {
     found.map_or(Ok(()), |name| Err(fault(name).in_file(target)))
 }
 
-/// The first by name of what a folder holds of a capture; `besides` counts too.
+/// First part of a capture in a folder, by name; names in `besides` count too.
 fn part_of_capture(folder: &Path, besides: &[&str]) -> Option<String> {
     parts_of_capture(folder, besides).into_iter().next()
 }
@@ -64,7 +66,7 @@ fn parts_of_capture(folder: &Path, besides: &[&str]) -> Vec<String> {
     names
 }
 
-/// Names of what is in a folder; none if it is none.
+/// Names of the entries of a folder; empty if it is not a folder.
 fn entries(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
@@ -83,7 +85,7 @@ fn is_our_transforms(path: &Path) -> bool {
     serde_json::from_slice::<Probe>(&text).is_ok_and(|probe| probe.generator == GENERATOR)
 }
 
-/// Whether a folder `sparse` holds a model of ours and nothing else, or nothing.
+/// Whether a folder `sparse` is empty, or holds a model of ours and nothing else.
 fn is_our_model(sparse: &Path) -> bool {
     let is_ours = |model: &Path| {
         let points = std::fs::read(model.join(FILES[2])).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! A COLMAP model as text: cameras and poses, without points.
+//! Writer of COLMAP text models: cameras and poses, without points.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -25,7 +25,7 @@ pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, 
                 lenses.len() - 1
             });
         let (q, t) = (DQuat::from_mat3(&camera.rotation()).normalize(), camera.translation());
-        // Observations, of which there are none, have a line of their own.
+        // The second line of an image lists its observations, of which there are none.
         let line = format!("{} {} {} {} {} {} {} {} {} {name}\n\n", i + 1, q.w, q.x, q.y, q.z, t.x, t.y, t.z, lens + 1);
         images.push_str(&line);
     }
@@ -39,7 +39,7 @@ pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, 
     Ok(files.iter().map(|text| text.len() as u64).sum())
 }
 
-/// Puts a model into `sparse/0` when all of it is written.
+/// Moves a completely written model to `sparse/0`.
 fn place(folder: &Path, files: [&str; 3]) -> io::Result<()> {
     let sparse = folder.join("sparse");
     fs::create_dir_all(&sparse)?;

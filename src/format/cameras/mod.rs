@@ -1,4 +1,4 @@
-//! Cameras without a scene, in files that other programs make or read: what a shot is rendered from.
+//! Files of cameras without a scene, written or read by other programs, from which a shot is rendered.
 //!
 //! | | read | written |
 //! |---|---|---|
@@ -20,32 +20,33 @@ use super::error::Fault;
 use super::{FormatError, Kind, gltf, kind, usd};
 use crate::scene::{Camera, frame};
 
-/// Cameras in the order in which they are shown.
+/// Cameras in display order.
 #[derive(Clone, Debug)]
 pub struct CameraFile {
-    /// At least one where it has been read, with their names.
+    /// Cameras with their names; at least one if read from a file.
     pub cameras: Vec<(String, Camera)>,
-    /// How many are shown a second, if they are the frames of a shot or that was asked for.
+    /// Frames per second, if the cameras are frames of a shot or a rate was requested.
     pub fps: Option<f64>,
-    /// True if they are in a world with y up, as those of glTF and USD; false if they are in the frame of the capture, half a turn
-    /// about x away.
+    /// Whether the cameras are in a y-up world, as in glTF and USD; false for the capture's frame, which differs by
+    /// half a turn about x.
     pub y_up: bool,
-    /// When each of them is seen, in seconds on the clock of the file; empty if they are no frames of a shot.
+    /// Time of each camera, in seconds of the file's clock; empty if the cameras are not frames of a shot.
     pub times: Vec<f64>,
-    /// What could not be taken over exactly, one sentence each.
+    /// Notes on content that could not be represented exactly, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// What of a file's cameras is read.
+/// Selection of a file's cameras and of the frames to read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sampling<'a> {
-    /// Frames a second of those that move; `None`: what the file states, else [`DEFAULT_FPS`].
+    /// Frames per second at which animated cameras are sampled; `None`: the rate that the file states, else
+    /// [`DEFAULT_FPS`].
     pub fps: Option<f64>,
     /// Only the cameras of these names, or numbers from 0 where no name is meant; empty: all that move, or all where none does.
     pub only: &'a [String],
     /// All as they are at this time, in seconds, none of them moving; `None`: frame by frame.
     pub time: Option<f64>,
-    /// None of those that [`write_cameras_with_scene`] has added.
+    /// Whether cameras added by [`write_cameras_with_scene`] are skipped.
     pub without_paths: bool,
 }
 
@@ -74,20 +75,20 @@ impl Sampling<'_> {
     }
 }
 
-/// Frames a second where nothing else is stated.
+/// Frames per second where no rate is stated.
 pub const DEFAULT_FPS: f64 = 30.0;
 
-/// Most frames of a shot, and of all cameras of a file together: 20 minutes at 30 frames a second. Two keys in a small file ask for
-/// all of them.
+/// Most frames of a shot, and of all cameras of a file together: 20 minutes at 30 frames per second. Two keys in a
+/// small file can request all of them.
 pub const MAX_FRAMES: usize = 36_000;
 
-/// What a camera that moves is called in files that we write.
+/// Name of an animated camera in files that Centaur writes.
 pub(super) const NAME: &str = "path";
 
 /// Most characters of a camera's name.
 const MAX_NAME: usize = 100;
 
-/// A name as cameras have it: it stands in that of each frame, and many cameras can share one.
+/// Name cut to [`MAX_NAME`] characters: it becomes part of every frame's name, and many cameras may share it.
 pub(super) fn short(name: &str) -> String {
     name.chars().take(MAX_NAME).collect()
 }
@@ -103,7 +104,7 @@ const ADVICE: &str = "`centaur cameras orbit` makes a path around any scene";
 pub const WRITABLE_CAMERAS: &[&str] = &["json", "glb", "gltf", "usda"];
 
 impl CameraFile {
-    /// The same cameras in a world that is y up, or in the frame of the capture.
+    /// Converts the cameras to a y-up world or to the capture's frame.
     #[must_use]
     pub fn in_frame(mut self, y_up: bool) -> Self {
         if self.y_up != y_up {
@@ -113,8 +114,8 @@ impl CameraFile {
         self
     }
 
-    /// When each of them is seen, in seconds that grow, as keys of files must, also in single precision, and are not negative: from 0
-    /// on where nobody says, or where several cameras move at a time.
+    /// Time of each camera in seconds: non-negative and strictly increasing, even in single precision, as keys of files
+    /// must be. Counts from 0 where no times are stated, or where several cameras share a time.
     pub(super) fn keys(&self) -> Vec<f64> {
         let fps = self.fps.unwrap_or(DEFAULT_FPS);
         let ends = [self.times.first(), self.times.last()];
@@ -131,11 +132,11 @@ pub(super) fn turned(camera: &Camera) -> Camera {
     Camera::new(*camera.intrinsics(), rotation, camera.translation()).expect("a rotation, turned, is one")
 }
 
-/// Reads the cameras of a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, whatever else is in it. One that moves becomes as
-/// many cameras as the shot has frames, from the first to the last key of what moves it.
+/// Reads the cameras of a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, ignoring other content. An animated camera
+/// becomes as many cameras as the shot has frames, from the first to the last key of its animation.
 ///
 /// # Errors
-/// If the file is none of these, cannot be read, is malformed, or has no camera, or none of the name that is asked for.
+/// If the file is of none of these formats, cannot be read, is malformed, has no camera, or none of the requested name.
 pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     match kind(path)? {
         Kind::Gltf => gltf::read_cameras(path, sampling),
@@ -147,11 +148,11 @@ pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, 
     }
 }
 
-/// Writes cameras in the format of the path's extension, one of [`WRITABLE_CAMERAS`], or as a COLMAP model into a folder, which
-/// is made. Returns the bytes written.
+/// Writes cameras in the format of the path's extension, one of [`WRITABLE_CAMERAS`], or as a COLMAP model into a
+/// folder, which is created. Returns the bytes written.
 ///
 /// # Errors
-/// If a file cannot be written, or a COLMAP model or `transforms*.json` would replace or hide a capture that is already there.
+/// If a file cannot be written, or a COLMAP model or `transforms*.json` would replace or hide an existing capture.
 pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match &extension[..] {
@@ -162,11 +163,12 @@ pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError>
     }
 }
 
-/// As [`write_cameras`], with all that is in the `.glb` or `.gltf` at `scene`, whose document is written again as it is, but for
-/// cameras that were written so before.
+/// Same as [`write_cameras`], but together with the content of the `.glb` or `.gltf` at `scene`: its document is
+/// written again unchanged, except that cameras added in this way before are replaced.
 ///
 /// # Errors
-/// If `path` has another extension than these, `scene` cannot be read or is something else, or the file cannot be written.
+/// If the extension of `path` is neither `.glb` nor `.gltf`, `scene` cannot be read or is not glTF, or the file cannot
+/// be written.
 pub fn write_cameras_with_scene(path: &Path, scene: &Path, file: &CameraFile) -> Result<u64, FormatError> {
     if !gltf::is_named(path) {
         return Err(Fault::whole("a name that ends in .glb or .gltf", path.display().to_string()).in_file(path));
@@ -177,17 +179,18 @@ pub fn write_cameras_with_scene(path: &Path, scene: &Path, file: &CameraFile) ->
     }
 }
 
-/// A camera of a file: where it is when nothing moves, and the frames that it moves through.
+/// Camera found in a file, with its frames: one at rest, or those of its animation.
 pub(super) struct Found {
     pub(super) name: String,
     pub(super) frames: Vec<Camera>,
-    /// When the first frame is, in seconds.
+    /// Time of the first frame, in seconds.
     pub(super) start: f64,
-    /// Frames a second; `None` if it does not move.
+    /// Frames per second; `None` if the camera is static.
     pub(super) fps: Option<f64>,
 }
 
-/// What `sampling` asks for, of the cameras of a file that are pinholes. Of those that it does not ask for, the first frame will do.
+/// Cameras selected by `sampling` among the pinhole cameras of a file. Of cameras that are not selected, `found` may
+/// hold the first frame only.
 pub(super) fn chosen(
     found: Vec<Found>,
     sampling: &Sampling<'_>,
@@ -222,16 +225,16 @@ pub(super) fn chosen(
     Ok(CameraFile { cameras, fps, y_up, times, notes })
 }
 
-/// Names in a message: the first few of them.
+/// Joins the first few names for a message.
 pub fn some_of<'a>(mut names: impl Iterator<Item = &'a str>) -> String {
     let mut some: Vec<&str> = names.by_ref().take(8).collect();
     some.extend(names.next().map(|_| "…"));
     some.join(", ")
 }
 
-/// How many frames there are from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or
-/// `end` is before `start`. The end counts if it is a hundredth of a frame late, or as much as single precision, in which times often
-/// are, cannot tell.
+/// Number of frames from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or
+/// `end` is before `start`. The frame at `end` counts even if `end` is early by a hundredth of a frame, or by the
+/// rounding error of single precision, in which times are often stored.
 #[must_use]
 pub fn frame_count(start: f64, end: f64, fps: f64) -> Option<usize> {
     let unknown = (2.4e-7 * start.abs().max(end.abs()) * fps).min(0.5);
@@ -239,12 +242,12 @@ pub fn frame_count(start: f64, end: f64, fps: f64) -> Option<usize> {
     (0.0..MAX_FRAMES as f64).contains(&last).then(|| last as usize + 1)
 }
 
-/// How many frames of a file's cameras have been read, of [`MAX_FRAMES`].
+/// Number of frames read so far of all cameras of a file, limited to [`MAX_FRAMES`].
 #[derive(Default)]
 pub(super) struct Frames(usize);
 
 impl Frames {
-    /// As [`frame_count`], of a further camera.
+    /// Number of frames of a further camera, see [`frame_count`].
     pub(super) fn take(&mut self, start: f64, end: f64, fps: f64) -> Result<usize, Fault> {
         let count = frame_count(start, end, fps).filter(|count| self.0 + count <= MAX_FRAMES);
         let count = count.ok_or_else(|| {
@@ -257,9 +260,9 @@ impl Frames {
     }
 }
 
-/// File names for pictures of views, each one once whatever the case of its letters: `left/0001.jpg` becomes `left_0001.png`.
+/// File names for pictures of views, unique regardless of case: `left/0001.jpg` becomes `left_0001.png`.
 pub fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) -> Vec<String> {
-    // With the number from which on a further one of the same name is numbered.
+    // `numbers`: per name, the number at which the search for an unused suffix continues.
     let (mut taken, mut numbers) = (HashSet::new(), HashMap::new());
     let mut unique = |stem: String| {
         let mut name = stem.clone();
@@ -278,8 +281,8 @@ pub fn picture_names<'a>(views: impl Iterator<Item = &'a str>, extension: &str) 
     views.map(|view| unique(safe_stem(view))).collect()
 }
 
-/// What cameras are called in files that name a photograph for each: as they are called, where all of those are names of pictures in or
-/// below a folder, else [`picture_names`].
+/// Image names of cameras, for files that name a photograph for each: the cameras' own names, if all are names of
+/// pictures in or below a folder, else [`picture_names`].
 pub(super) fn image_names(cameras: &[(String, Camera)]) -> Vec<String> {
     let names: Vec<&str> = cameras.iter().map(|(name, _)| &name[..]).collect();
     let is_picture = |name: &&str| {
@@ -296,13 +299,14 @@ pub(super) fn image_names(cameras: &[(String, Camera)]) -> Vec<String> {
     picture_names(names.into_iter(), "png")
 }
 
-/// Most bytes of the name of a picture without number and suffix: file systems allow 255.
+/// Most bytes of a picture's name without number and suffix: file systems allow 255.
 const MAX_STEM: usize = 200;
 
-/// A view's name without the suffix of a picture and without anything that a file system may take for more than a letter.
+/// Name of a view without a picture's suffix, and with every character that a file system might treat specially
+/// replaced.
 fn safe_stem(view: &str) -> String {
     let path = Path::new(view);
-    // Blender's copies of `Camera` are `Camera.001` and so on.
+    // Not every suffix is a picture's: Blender names copies of `Camera` `Camera.001` and so on.
     let is_picture = image::ImageFormat::from_path(path).is_ok();
     let stem = if is_picture { path.with_extension("") } else { path.to_owned() };
     let safe: String = (stem.to_string_lossy().chars())
@@ -315,7 +319,7 @@ fn safe_stem(view: &str) -> String {
     }
 }
 
-/// Whether Windows takes a file of this name for a device, whatever follows a dot in it.
+/// Whether Windows treats a file of this name as a device, regardless of its extension.
 fn is_device(name: &str) -> bool {
     let name = name.split('.').next().unwrap_or_default().to_ascii_lowercase();
     let port = name.strip_prefix("com").or(name.strip_prefix("lpt"));

@@ -1,4 +1,4 @@
-//! `transforms.json` of nerfstudio.
+//! Writer of nerfstudio's `transforms.json`.
 
 use std::path::Path;
 
@@ -9,8 +9,8 @@ use super::{CameraFile, image_names};
 use crate::format::{FormatError, atomic_write};
 use crate::scene::{Camera, Intrinsics};
 
-/// Intrinsics stand once for all frames where these share them. Pictures need not exist; rendered into the folder of the file
-/// they have the names that stand in it, and make it a dataset.
+/// Writes cameras. Intrinsics that all frames share are written once. Images need not exist; rendered into the file's
+/// folder under the names in the file, they make it a dataset.
 pub(super) fn write(path: &Path, CameraFile { cameras, fps, y_up, .. }: &CameraFile) -> Result<u64, FormatError> {
     spare(path)?;
     let shared = cameras.first().map(|(_, first)| first.intrinsics());

@@ -1,16 +1,16 @@
-//! Files beside the document of an export: what programs that cannot read a hybrid scene are given its parts in.
+//! Accompanying files of an export: the parts of a scene in formats for programs that cannot read hybrid scenes.
 //!
-//! For an output `STEM.…` they are called, in its folder,
+//! For an output `STEM.…` they are named, in its folder,
 //!
 //! | file | content |
 //! |---|---|
 //! | `STEM_splats.ply` | splats in the INRIA layout with (zero) normals, see [`super::ply::write()`] |
 //! | `STEM_meshI.ply` | mesh I, see [`surface::write`] |
-//! | `STEM_meshI_shKK.exr` | SH coefficient KK of its maps, `R G B` of 32-bit floats; that of 00 also the logit of opacity, `A` |
+//! | `STEM_meshI_shKK.exr` | SH coefficient KK of the maps of mesh I, `R G B` as 32-bit floats; that of 00 also has the opacity logit, `A` |
 //!
-//! All values are the scene's own, bit for bit: its frame, raw parameters before any activation, colours in the space of
-//! blending. The first row of a picture is the top one, which v = 0 belongs to. Coefficient 00 may be of another size than
-//! the rest. One picture per coefficient, because most programs take the first four channels of an EXR for RGBA.
+//! All values are the scene's own, bit for bit: in its frame, raw parameters before activation, colours in the blending
+//! space. The first row of an image is the top one, at v = 0. Coefficient 00 may differ in size from the others. There
+//! is one image per coefficient, because most programs take the first four channels of an EXR for RGBA.
 
 pub(super) mod surface;
 #[cfg(test)]
@@ -23,42 +23,42 @@ use super::{FormatError, atomic_write, exr, ply};
 use crate::atomic::folder_of;
 use crate::scene::{Atlas, HybridScene, sh};
 
-/// Names and sizes of what [`write`] wrote. Names are relative to the output's folder.
+/// Names and total size of the files written by [`write`]. Names are relative to the output's folder.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Beside {
-    /// The PLY of the splats, unless there are none.
+    /// PLY of the splats, unless there are none.
     pub(super) splats: Option<String>,
-    /// One per mesh, in order.
+    /// Files per mesh, in order.
     pub(super) meshes: Vec<MeshFiles>,
-    /// All files, in the order in which they were written.
+    /// All files, in order of writing.
     pub(super) files: Vec<String>,
-    /// Size of all.
+    /// Total size of the files in bytes.
     pub(super) bytes: u64,
 }
 
-/// The files of a mesh.
+/// Files of a mesh.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct MeshFiles {
-    /// The PLY.
+    /// PLY of the surface.
     pub(super) surface: String,
-    /// One EXR per SH coefficient, in the order of [`sh::basis`].
+    /// EXR files, one per SH coefficient, in the order of [`sh::basis`].
     pub(super) maps: Vec<String>,
 }
 
-/// What the names of exports end in whose files beside them are of one kind; the longer first.
+/// File-name endings of exports, grouped by the kind of their accompanying files; longer endings first.
 const KINDS: [&[&str]; 2] = [&[".stock.xml", ".xml", ".blend.py"], &[".usda"]];
 
-/// Another export, whose files beside it have the names of those of an output.
+/// Another export whose accompanying files have the same names as those of an output.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sharing {
-    /// The export.
+    /// Path of the other export.
     pub path: PathBuf,
-    /// Its own name differs from that of the output by no more than what it is for (`a.xml`, `a.blend.py`): not only where characters that are
-    /// not letters became `_`.
+    /// Whether its name differs from that of the output by the ending only (`a.xml`, `a.blend.py`), and not merely by
+    /// characters that are replaced by `_`.
     pub is_of_one_name: bool,
 }
 
-/// What lies in the folder of `output` and shares its files with it, by name.
+/// Exports in the folder of `output` that share its accompanying files, by name.
 ///
 /// # Errors
 /// If the folder cannot be listed.
@@ -85,8 +85,8 @@ pub fn sharing(output: &Path) -> io::Result<Vec<Sharing>> {
     Ok(found)
 }
 
-/// What the names of the files beside `output` begin with: the part of its name before `suffix` (`.xml`), which may be in
-/// any case, with `_` for all but letters, digits and `-`, so that no program has to escape it.
+/// Stem of the names of accompanying files: the part of the output's name before `suffix` (`.xml`, ignoring case), with
+/// `_` for all characters but letters, digits and `-`, so that no program has to escape it.
 pub(super) fn stem(output: &Path, suffix: &str) -> String {
     let name = output.file_name().unwrap_or_default().to_string_lossy();
     let cut = name.len().checked_sub(suffix.len()).filter(|&at| name.is_char_boundary(at)).unwrap_or(name.len());
@@ -95,7 +95,7 @@ pub(super) fn stem(output: &Path, suffix: &str) -> String {
     stem.chars().map(plain).collect()
 }
 
-/// Writes the splats, meshes and maps of `scene` into the folder of `output`, each file whole or not at all.
+/// Writes the splats, meshes and maps of `scene` into the folder of `output`, each file atomically.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -121,7 +121,7 @@ pub(super) fn write(output: &Path, stem: &str, scene: &HybridScene) -> Result<Be
 }
 
 impl Beside {
-    /// Makes a note of a file that `write`, given its name, writes; returns the name.
+    /// Records a file that `write`, given its path, writes; returns the name.
     pub(super) fn add(
         &mut self,
         name: String,

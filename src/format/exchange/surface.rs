@@ -1,4 +1,4 @@
-//! Meshes as PLY, which has UVs at vertices only.
+//! Writer of meshes as PLY, which has UVs per vertex only.
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -9,9 +9,9 @@ use glam::{Vec2, Vec3};
 use crate::format::{FormatError, atomic_write_with};
 use crate::scene::Mesh;
 
-/// Writes a mesh as binary little-endian PLY: vertices `x y z s t` (float32), faces `list uchar int vertex_indices` of three,
-/// in the order of the mesh's triangles. `t` is v downwards: (0, 0) is the top left of the maps. A vertex is written once per
-/// UV that corners have there; vertices of no triangle are left out. Returns the file's size.
+/// Writes a mesh as binary little-endian PLY: vertices `x y z s t` (float32), faces `list uchar int vertex_indices` of
+/// three, in the order of the mesh's triangles. `t` is v downwards: (0, 0) is the top left of the maps. A vertex is
+/// written once per distinct UV of its corners; unused vertices are left out. Returns the file's size.
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<u64, FormatError> {
     let (vertices, triangles) = split(mesh);
     let vertices: Vec<(Vec3, Vec2)> = vertices.into_iter().map(|(v, uv)| (mesh.positions()[v as usize], uv)).collect();
@@ -29,12 +29,12 @@ pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<u64, FormatError> {
     })
 }
 
-/// The vertex of the mesh that each vertex of the file is a copy of.
+/// Per vertex of the file, the index of the mesh's vertex of which it is a copy.
 pub(in crate::format) fn copied(mesh: &Mesh) -> Vec<usize> {
     split(mesh).0.into_iter().map(|(vertex, _)| vertex as usize).collect()
 }
 
-/// One vertex per pair of a vertex and a UV that corners have, in the order of first use.
+/// Splits vertices at UV seams: one vertex per distinct (vertex, UV) pair of the corners, in order of first use.
 fn split(mesh: &Mesh) -> (Vec<(u32, Vec2)>, Vec<[u32; 3]>) {
     let mut vertices = vec![];
     let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();

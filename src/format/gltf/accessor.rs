@@ -1,4 +1,4 @@
-//! Reads accessors with every bound checked; the `gltf` crate's own iterators panic on ranges that do not fit.
+//! Accessor reading with full bounds checks; the `gltf` crate's own iterators panic on invalid ranges.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -12,7 +12,7 @@ use super::lift::Asset;
 use crate::format::blocks::BLOCK_BYTES;
 use crate::format::error::Fault;
 
-/// A run of elements: element `i` starts at `start + i·stride`.
+/// Strided sequence of elements: element `i` starts at `start + i·stride`.
 struct Elements<'a> {
     bytes: Bytes<'a>,
     start: usize,
@@ -22,15 +22,15 @@ struct Elements<'a> {
     at: &'a str,
 }
 
-/// Where they lie; all of them are there.
+/// Storage of the elements, all of which are within bounds.
 enum Bytes<'a> {
-    /// A view that was decompressed.
+    /// Decompressed view.
     Plain(&'a [u8]),
     Buffer(&'a Buffer),
 }
 
 impl Elements<'_> {
-    /// What `of` makes of the bytes of each element, of which some are in memory at a time.
+    /// Maps the bytes of each element with `of`, reading block by block.
     fn map<T>(&self, of: impl Fn(&[u8]) -> T) -> Result<Vec<T>, Fault> {
         let mut values = Vec::with_capacity(self.count);
         let per_block = (BLOCK_BYTES / self.stride).max(1);
@@ -51,24 +51,24 @@ impl Elements<'_> {
 }
 
 impl Asset {
-    /// Whether anything of an accessor is stored; else it is all zeros, unless an extension has what it describes.
+    /// Whether any data of an accessor is stored; otherwise it is all zeros, unless an extension provides the data.
     pub(super) fn is_stored(&self, accessor: &gltf::Accessor<'_>) -> bool {
         accessor.sparse().is_some() || accessor.view().is_some_and(|view| self.has_view(&view))
     }
 
-    /// What the components of an accessor are stored as, if there is one, and whether integers are normalised.
+    /// Component type of an accessor, if it exists, and whether integers are normalised.
     pub(super) fn component(&self, accessor: usize) -> Option<(DataType, bool)> {
         self.document.accessors().nth(accessor).map(|accessor| (accessor.data_type(), accessor.normalized()))
     }
 
-    /// Elements of a float or (normalised) integer accessor with `N` components, as floats; sparse ones included.
+    /// Elements of a float or (normalised) integer accessor with `N` components, as floats, including sparse ones.
     pub(in crate::format) fn floats<const N: usize>(&self, accessor: usize) -> Result<Vec<[f32; N]>, Fault> {
         let accessor = self.accessor(accessor, N)?;
         let (kind, normalized) = (accessor.data_type(), accessor.normalized());
         self.decoded(&accessor, [0.0; N], |row| numbers(row, kind, normalized))
     }
 
-    /// Elements of a SCALAR unsigned integer accessor; sparse ones included.
+    /// Elements of a SCALAR unsigned integer accessor, including sparse ones.
     pub(in crate::format) fn indices(&self, accessor: usize) -> Result<Vec<u32>, Fault> {
         let accessor = self.accessor(accessor, 1)?;
         let kind = accessor.data_type();
@@ -79,7 +79,7 @@ impl Asset {
         self.decoded(&accessor, 0, |row| unsigned(row, kind))
     }
 
-    /// What `of` makes of the bytes of each element, and `zero` of those that nothing is stored of.
+    /// Maps the bytes of each element with `of`; elements without stored data become `zero`.
     fn decoded<T: Clone>(
         &self,
         accessor: &gltf::Accessor<'_>,
@@ -91,8 +91,8 @@ impl Asset {
         let mut values = match accessor.view().filter(|view| self.has_view(view)) {
             Some(view) => self.elements(&view, accessor.offset(), count, (components, kind), &at)?.map(&of)?,
             None => {
-                // All zero but for sparse elements (glTF 2.0, 3.6.2.3). Such an accessor goes with others that are stored in
-                // full, so a count above the number of bytes in the file is a lie.
+                // Zeros except for sparse elements (glTF 2.0, 3.6.2.3). Such an accessor accompanies others that are
+                // stored in full, so a count above the number of bytes in the file is invalid.
                 if count > self.stored_bytes() {
                     let expected = format!("at most {} elements without a bufferView", self.stored_bytes());
                     return Err(Fault::pointer(format!("{at}/count"), expected, count.to_string()));
@@ -124,7 +124,7 @@ impl Asset {
         Ok(values)
     }
 
-    /// Elements of a MAT4 accessor of floats.
+    /// Elements of a float MAT4 accessor.
     pub(super) fn matrices(&self, accessor: usize) -> Result<Vec<DMat4>, Fault> {
         let at = format!("/accessors/{accessor}");
         let found = self.document.accessors().nth(accessor);
@@ -137,7 +137,7 @@ impl Asset {
         elements.map(|row| DMat4::from_cols_array(&numbers::<16>(row, DataType::F32, false).map(f64::from)))
     }
 
-    /// Accessor `index`, known to have `components` components.
+    /// Accessor `index`, checked to have `components` components.
     fn accessor(&self, index: usize, components: usize) -> Result<gltf::Accessor<'_>, Fault> {
         let accessor = self.document.accessors().nth(index).ok_or_else(|| {
             let accessors = self.document.as_json().accessors.len();
@@ -179,7 +179,7 @@ impl Asset {
         Ok(Elements { bytes, start: range.start.saturating_add(offset), count, stride, size, at })
     }
 
-    /// The bytes of a buffer view, decompressed.
+    /// Bytes of a buffer view, decompressed.
     pub(super) fn view_bytes(&self, view: &gltf::buffer::View<'_>) -> Result<Cow<'_, [u8]>, Fault> {
         match self.place(view)? {
             (Bytes::Plain(bytes), range) => Ok(Cow::Borrowed(&bytes[range])),
@@ -189,7 +189,7 @@ impl Asset {
         }
     }
 
-    /// Where the bytes of a buffer view lie, which are all there.
+    /// Storage and range of the bytes of a buffer view, checked to be within bounds.
     fn place(&self, view: &gltf::buffer::View<'_>) -> Result<(Bytes<'_>, Range<usize>), Fault> {
         if let Some(plain) = self.plain_views.get(&view.index()) {
             return Ok((Bytes::Plain(plain), 0..plain.len()));
@@ -205,12 +205,12 @@ impl Asset {
     }
 }
 
-/// The components of an element.
+/// Components of an element.
 fn numbers<const N: usize>(row: &[u8], kind: DataType, normalized: bool) -> [f32; N] {
     std::array::from_fn(|c| component(&row[c * kind.size()..], kind, normalized))
 }
 
-/// The first component of an element; 0 for types that are not unsigned integers, which callers exclude.
+/// First component of an element; 0 for types other than unsigned integers, which callers exclude.
 fn unsigned(row: &[u8], kind: DataType) -> u32 {
     match kind {
         DataType::U8 => u32::from(row[0]),
@@ -220,7 +220,8 @@ fn unsigned(row: &[u8], kind: DataType) -> u32 {
     }
 }
 
-/// One little-endian component; signed normalised types reach −1 at both of their lowest values (glTF 2.0, 3.6.2.2).
+/// Decodes a little-endian component; signed normalised types map both of their lowest values to −1 (glTF 2.0,
+/// 3.6.2.2).
 fn component(b: &[u8], kind: DataType, normalized: bool) -> f32 {
     let (value, range) = match kind {
         DataType::I8 => (f32::from(b[0] as i8), 127.0),

@@ -1,4 +1,4 @@
-//! Splats that are bound to triangles, by the extension.
+//! Binding of splats to triangles, by the hybrid extension.
 
 use glam::{DMat4, DQuat, Quat, Vec3, Vec4};
 use gltf::accessor::DataType;
@@ -10,20 +10,20 @@ use crate::format::error::{Fault, from_value};
 use crate::format::placed::orthogonal;
 use crate::scene::rig::{Binding, Frame, ShFrame};
 
-/// How far from 1 the length of a rotation may be, which 8-bit components are by half a step each.
+/// Largest deviation of a rotation's norm from 1, which 8-bit components cause by half a step each.
 const UNIT_TOLERANCE: f32 = 0.01;
 
-/// A triangle primitive at a node, as splats are bound to it.
+/// Triangle primitive at a node, to which splats can be bound.
 pub(super) struct Bindable {
-    /// The mesh of the scene that it has become, and whether that moves.
+    /// Index of the scene's mesh made from the primitive; `moves`: whether that mesh is animated.
     pub(super) surface: usize,
     pub(super) moves: bool,
-    /// Of every triangle, in the file's order, vertices of that mesh and undeformed positions.
+    /// Per triangle, in the file's order: vertices of that mesh (`corners`), and undeformed positions (`stored`).
     pub(super) corners: Vec<[u32; 3]>,
     pub(super) stored: Vec<[Vec3; 3]>,
 }
 
-/// Where the extension's object is in a primitive's `KHR_gaussian_splatting`, and what it says.
+/// Place and content of the extension's object in a primitive's `KHR_gaussian_splatting`.
 pub(super) fn object(khr: &Value, id: (usize, usize)) -> Result<Option<(String, SplatExtension)>, Fault> {
     let Some(value) = extension_of(khr, HYBRID) else { return Ok(None) };
     let at = format!("/meshes/{}/primitives/{}/extensions/{KHR_SPLATS}/extensions/{HYBRID}", id.0, id.1);
@@ -31,7 +31,7 @@ pub(super) fn object(khr: &Value, id: (usize, usize)) -> Result<Option<(String, 
     Ok(Some((at, object)))
 }
 
-/// Pairs of node and primitive that any splats are bound to.
+/// Pairs (node, primitive) to which any splats are bound.
 pub(super) fn wanted(asset: &Asset) -> std::collections::HashSet<(usize, usize)> {
     let primitives = asset.document.meshes().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
     let objects = primitives.filter_map(|(m, p)| {
@@ -41,8 +41,8 @@ pub(super) fn wanted(asset: &Asset) -> std::collections::HashSet<(usize, usize)>
     objects.collect()
 }
 
-/// What `count` splats follow: `Err` says why the binding is to be ignored. `harmonics_bone` is that of the node of the splats,
-/// and `turn` its transform where it rests.
+/// Reads the binding of `count` splats; an inner `Err` gives the reason for which the binding is ignored.
+/// `harmonics_bone` is the bone of the splats' node, and `turn` that node's transform in the rest pose.
 pub(super) fn read(
     asset: &Asset,
     object: &BindingObject,
@@ -127,7 +127,7 @@ pub(super) fn read(
 pub(in crate::format) fn geometry_digest(corners: &[[f32; 3]]) -> String {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     for &v in corners.as_flattened() {
-        // −0 is 0.
+        // Adding 0 turns −0 into 0.
         for byte in (v + 0.0).to_le_bytes() {
             hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
         }

@@ -1,4 +1,4 @@
-//! Content of buffers: in memory, or left in the file until it is asked for, so that a large scene is not held twice.
+//! Buffer content: in memory, or left in the file until needed, so that a large scene is not held twice.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -15,7 +15,7 @@ use crate::format::blocks::BLOCK_BYTES;
 #[derive(Clone, Debug)]
 pub(in crate::format) enum Buffer {
     Memory(Arc<Vec<u8>>),
-    /// So many bytes of an open file from `start` on.
+    /// Bytes of an open file, of this length, from `start` on.
     File {
         input: Arc<Input>,
         start: u64,
@@ -23,7 +23,7 @@ pub(in crate::format) enum Buffer {
     },
 }
 
-/// A file that stays open, and what it was when it was opened.
+/// Open file, with its state when it was opened.
 #[derive(Debug)]
 pub(in crate::format) struct Input {
     path: PathBuf,
@@ -32,7 +32,7 @@ pub(in crate::format) struct Input {
     modified: Option<SystemTime>,
 }
 
-/// Why bytes of an input cannot be had; within the [`io::Error`]s of [`Buffer::read`], whoever passes them on.
+/// Error of reading an input; wrapped in the [`io::Error`]s of [`Buffer::read`].
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", path.display())]
 struct Unreadable {
@@ -40,7 +40,7 @@ struct Unreadable {
     source: io::Error,
 }
 
-/// The error of writing `file` from buffers: if it is one of reading them, their file is named.
+/// Error of writing `file` from buffers; if a buffer could not be read, its file is named instead.
 pub(super) fn of_writing(error: FormatError) -> FormatError {
     match error {
         FormatError::Write { file, source } => match source.downcast::<Unreadable>() {
@@ -59,19 +59,19 @@ impl Input {
         Ok(Self { path: path.to_owned(), file: Mutex::new(file), length, modified })
     }
 
-    /// To be read by one alone.
+    /// File handle for exclusive use.
     pub(super) fn file(&mut self) -> &mut File {
         self.file.get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A range of it, which must lie within.
+    /// Buffer of a range of the file, which must lie within it.
     pub(super) fn section(self, range: Range<usize>) -> Buffer {
         Buffer::File { input: Arc::new(self), start: range.start as u64, length: range.len() }
     }
 
-    /// The bytes from `start` on, unless the file has been written into since it was opened.
+    /// Reads bytes from `start` on; an error if the file has been modified since it was opened.
     fn read(&self, start: u64, bytes: &mut [u8]) -> io::Result<()> {
-        // A thread that panicked has left the file where it does not matter.
+        // A panic in another thread cannot leave the file in a harmful state, because every read seeks first.
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         let read = file.seek(SeekFrom::Start(start)).and_then(|_| file.read_exact(bytes));
         let now = file.metadata()?;
@@ -83,7 +83,8 @@ impl Input {
 }
 
 impl Buffer {
-    /// A whole file. What is read at once anyway is read now: a document may name more files than can be open, which are 256 on macOS.
+    /// Opens a whole file. Small files are read now: a document may name more files than can be open at once (256 on
+    /// macOS).
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         let input = Input::open(path)?;
         let length = usize::try_from(input.length).map_err(io::Error::other)?;
@@ -98,7 +99,7 @@ impl Buffer {
         }
     }
 
-    /// Where it begins: buffers that share their bytes are in the same place.
+    /// Identity of the storage: buffers that share their bytes have the same place.
     pub(super) fn place(&self) -> (usize, u64) {
         match self {
             Self::Memory(bytes) => (Arc::as_ptr(bytes).addr(), 0),
@@ -110,7 +111,7 @@ impl Buffer {
         self.len() == 0
     }
 
-    /// The bytes of a range, cut where it ends behind them.
+    /// Reads the bytes of a range, cut off at the buffer's end.
     pub(super) fn read(&self, range: Range<usize>) -> io::Result<Cow<'_, [u8]>> {
         let end = range.end.min(self.len());
         let range = range.start.min(end)..end;
@@ -125,7 +126,7 @@ impl Buffer {
         }
     }
 
-    /// All of it in memory.
+    /// Loads the whole buffer into memory.
     pub(super) fn into_bytes(self) -> io::Result<Vec<u8>> {
         match self {
             Self::Memory(bytes) => Ok(Arc::unwrap_or_clone(bytes)),

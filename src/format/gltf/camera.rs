@@ -1,4 +1,4 @@
-//! glTF cameras as pinhole cameras.
+//! Conversion of glTF cameras to pinhole cameras.
 
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
@@ -30,13 +30,13 @@ pub(super) fn all(document: &gltf::Document, placed: &[(gltf::Node<'_>, DMat4)],
     cameras
 }
 
-/// What a camera at a node is called; `nth` of those that are read, from 0, if nobody says.
+/// Name of the camera at a node; if it has none, derived from `nth`, the index among the cameras read.
 pub(super) fn name(node: &gltf::Node<'_>, nth: usize) -> String {
     let name = node.name().or(node.camera().and_then(|camera| camera.name()));
     name.map_or_else(|| format!("camera_{nth}"), short)
 }
 
-/// A camera and what had to be assumed about it; on failure, the reason.
+/// Converts a camera and collects notes on assumptions; on failure, the reason.
 pub(super) fn read(
     document: &gltf::Document,
     index: usize,
@@ -72,7 +72,7 @@ pub(super) fn read(
     let wide = aspect.unwrap_or(16.0 / 9.0) * height;
     let width = wide.round().clamp(1.0, f64::from(Intrinsics::MAX_PICTURE_SIDE));
     let fy = 0.5 * height / (0.5 * yfov).tan();
-    // As much is seen from side to side as the aspect ratio says, to whatever whole number of pixels that is rounded.
+    // The horizontal field of view follows the aspect ratio, regardless of rounding the width to whole pixels.
     let is_rounded = aspect.is_some() && (width - wide).abs() <= 0.5;
     let fx = if is_rounded { fy * (width / wide) } else { fy };
     let (cx, cy) = (0.5 * width, 0.5 * height);
@@ -81,7 +81,8 @@ pub(super) fn read(
     Camera::new(k, pose.0, pose.1).map(|c| (c, Some(note))).map_err(|e| e.to_string())
 }
 
-/// What Centaur, or whoever follows it, says of a camera in its extras; `Err` is why that cannot be read.
+/// Exact camera parameters in the extras, as Centaur, or a program that follows it, writes them; `Err`: the reason for
+/// which they cannot be read.
 fn exact(camera: &gltf::json::Camera) -> Option<Result<ExactCamera, String>> {
     let extras = serde_json::from_str::<Value>(camera.extras.as_ref()?.get()).ok()?;
     let read = from_value::<ExactCamera>(extras.get(EXTRAS)?, &format!("extras/{EXTRAS}"), "the numbers of a camera");
@@ -92,25 +93,25 @@ fn exact(camera: &gltf::json::Camera) -> Option<Result<ExactCamera, String>> {
 }
 
 impl ExactCamera {
-    /// World→camera rotation and translation, if it has both.
+    /// World→camera rotation and translation, if both are present.
     fn pose(&self) -> Option<(DMat3, DVec3)> {
         Some((DMat3::from_cols_array(&self.rotation?).transpose(), DVec3::from(self.translation?)))
     }
 }
 
-/// Whether a camera of this pose of its own is where its node is. Nodes are read in f32; a larger difference means that somebody has moved the
-/// camera.
+/// Whether a camera's exact pose agrees with that of its node. Nodes are stored in f32; a larger difference means that
+/// the camera has been moved by another program.
 fn is_unmoved(own: (DMat3, DVec3), node: (DMat3, DVec3)) -> bool {
     let tolerance = 1e-5 * (1.0 + own.1.length());
     own.0.abs_diff_eq(node.0, 1e-5) && own.1.abs_diff_eq(node.1, tolerance)
 }
 
-/// The exact camera with the field of view that the file has now: somebody may have changed that and kept the extras. `None` if the
-/// aspect ratio is another, and with it the picture.
+/// Exact camera with the file's current field of view, which another program may have changed while keeping the extras.
+/// `None` if the aspect ratio, and hence the image, has changed.
 fn with_lens_of(mut exact: ExactCamera, camera: &gltf::json::Camera) -> Option<ExactCamera> {
     let perspective = camera.perspective.as_ref()?;
     let (width, height) = (f64::from(exact.width), f64::from(exact.height));
-    // The file's are rounded to f32.
+    // Values of the file are rounded to f32.
     let near = |found: f64, written: f64| (found - written).abs() <= 1e-5 * written.abs();
     let aspect = (width * exact.fy) / (height * exact.fx);
     if perspective.aspect_ratio.is_some_and(|found| !near(f64::from(found), aspect)) {

@@ -1,5 +1,5 @@
-//! Writes a document and its one buffer: as `.glb`, or as `.gltf` with the buffer inside as a data URI, so that either
-//! way a scene is one file, which is there as a whole or not at all.
+//! Writer of a document and its single buffer: as `.glb`, or as `.gltf` with the buffer as a data URI. Either way a
+//! scene is one file, written atomically.
 
 use std::borrow::Cow;
 use std::io::{self, Write};
@@ -15,7 +15,7 @@ use crate::format::blocks::{BLOCK_BYTES, in_waves};
 use crate::format::error::{Fault, FormatError};
 use crate::format::{atomic_write_with, has_extension};
 
-/// The content of buffer 0, in pieces that begin at multiples of 4 bytes.
+/// Content of buffer 0, in pieces aligned to 4 bytes.
 #[derive(Default)]
 pub(super) struct Bin<'a> {
     pieces: Vec<Piece<'a>>,
@@ -25,18 +25,18 @@ pub(super) struct Bin<'a> {
 enum Piece<'a> {
     Bytes(Cow<'a, [u8]>),
     Rows(Rows<'a>),
-    /// The first bytes of what was read.
+    /// First bytes of a buffer that was read.
     Copy(&'a Buffer, usize),
 }
 
-/// Rows that are made as they are written, so that a large scene is not held a second time.
+/// Rows generated while being written, so that a large scene is not held a second time.
 struct Rows<'a> {
     count: usize,
     stride: usize,
     append: Box<Append<'a>>,
 }
 
-/// Appends the rows of a range.
+/// Function that appends the rows of a range.
 type Append<'a> = dyn Fn(Range<usize>, &mut Vec<u8>) + Sync + 'a;
 
 impl Rows<'_> {
@@ -53,18 +53,18 @@ impl Rows<'_> {
 }
 
 impl<'a> Bin<'a> {
-    /// Appends a piece; returns where it begins.
+    /// Appends a piece; returns its offset.
     pub(super) fn push(&mut self, piece: impl Into<Cow<'a, [u8]>>) -> usize {
         let piece = piece.into();
         self.place(piece.len(), Piece::Bytes(piece))
     }
 
-    /// Appends the first `length` bytes of a buffer; returns where they begin.
+    /// Appends the first `length` bytes of a buffer; returns their offset.
     pub(super) fn push_copy(&mut self, buffer: &'a Buffer, length: usize) -> usize {
         self.place(length, Piece::Copy(buffer, length))
     }
 
-    /// Appends `count` rows of `stride` bytes each, of which `row` appends the one of an index; returns where they begin.
+    /// Appends `count` rows of `stride` bytes each; `row` appends the row of an index. Returns their offset.
     pub(super) fn push_rows(
         &mut self,
         count: usize,
@@ -98,9 +98,9 @@ impl<'a> Bin<'a> {
     }
 }
 
-/// The text of a document before and after the content of buffer 0 in its data URI.
+/// Text of a document before and after the content of buffer 0 in its data URI.
 fn around_content(document: &mut Value) -> (String, String) {
-    // A mark that nothing else in the document has.
+    // Placeholder that occurs nowhere else in the document.
     for mark in 0u64.. {
         let mark = format!("(content {mark})");
         document["buffers"][0]["uri"] = json!(format!("data:application/octet-stream;base64,{mark}"));
@@ -113,7 +113,7 @@ fn around_content(document: &mut Value) -> (String, String) {
     unreachable!("a document is finite")
 }
 
-/// Writes to `path`; returns the file's size. `buffers[0]` of the document must be what `bin` holds.
+/// Writes a document to `path`; returns the file's size. `buffers[0]` of the document must describe `bin`.
 pub(super) fn write(path: &Path, document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
     written(path, document, bin).map_err(buffer::of_writing)
 }

@@ -1,5 +1,5 @@
-//! The two extensions' JSON as typed structs: the only place that knows their names and keys. Schemas and their prose
-//! are in `schema/EXT_gaussian_splatting_hybrid`.
+//! Typed JSON structures of the two extensions, the only place where their names and keys occur. Schemas and their
+//! prose are in `schema/EXT_gaussian_splatting_hybrid`.
 
 use std::collections::BTreeMap;
 
@@ -10,37 +10,37 @@ use serde_json::Value;
 use crate::format::error::{Fault, shown};
 use crate::scene::{ColorSpace, Composition, OrderMode, PixelFilter};
 
-/// Splats as a POINTS primitive.
+/// Extension for splats as a POINTS primitive.
 pub(crate) const KHR_SPLATS: &str = "KHR_gaussian_splatting";
-/// What makes meshes and splats one scene. Unregistered as yet; to rename it, change this constant.
+/// Extension that combines meshes and splats to one scene. Not yet registered; to rename it, change this constant.
 pub(crate) const HYBRID: &str = "EXT_gaussian_splatting_hybrid";
-/// Core fallback of the mesh material.
+/// Extension of the mesh material that serves as fallback for core viewers.
 pub(crate) const UNLIT: &str = "KHR_materials_unlit";
 pub(super) const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
-/// A base colour by another name, of files from before the core's was settled. Archived by Khronos.
+/// Extension with a base colour by another name, in files that predate the core's. Archived by Khronos.
 pub(super) const SPECULAR_GLOSSINESS: &str = "KHR_materials_pbrSpecularGlossiness";
-/// Splats compressed by SPZ, within the object of [`KHR_SPLATS`]. A draft of Khronos.
+/// Extension for splats compressed by SPZ, within the object of [`KHR_SPLATS`]. A Khronos draft.
 pub(crate) const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
-/// Scaled, turned and shifted texture coordinates.
+/// Extension for scaled, rotated and shifted texture coordinates.
 pub(crate) const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
-/// Images in `WebP`.
+/// Extension for images in `WebP`.
 pub(crate) const WEBP: &str = "EXT_texture_webp";
 
-/// Copies of a mesh at one node.
+/// Extension for instances of a mesh at one node.
 pub(crate) const INSTANCING: &str = "EXT_mesh_gpu_instancing";
-/// Nodes that are not shown.
+/// Extension for hidden nodes.
 pub(super) const VISIBILITY: &str = "KHR_node_visibility";
 
-/// Name of the node under which the whole scene hangs, and the key of our own `extras`.
+/// Name of the root node of the whole scene, and key of our own `extras`.
 pub(crate) const ROOT_NODE: &str = "centaur_world";
 pub(crate) const EXTRAS: &str = "centaur";
 
-/// Name of nodes that are put above the scene of a document to move it.
+/// Name of nodes inserted above the scene of a document to transform it.
 pub(crate) const MOVED_NODE: &str = "moved";
 
 pub(crate) const ROTATION: &str = "KHR_gaussian_splatting:ROTATION";
 pub(crate) const SCALE: &str = "KHR_gaussian_splatting:SCALE";
-/// What early drafts called them.
+/// Names of these attributes in early drafts.
 pub(super) const DRAFT_ROTATION: &str = "_ROTATION";
 pub(super) const DRAFT_SCALE: &str = "_SCALE";
 pub(crate) const OPACITY: &str = "KHR_gaussian_splatting:OPACITY";
@@ -59,7 +59,7 @@ pub(crate) fn sh_attributes(degree: u32) -> impl Iterator<Item = String> {
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct Khr {
-    /// Required, as is the colour space; early drafts had neither.
+    /// Required, like the colour space; early drafts had neither.
     pub(crate) kernel: Option<String>,
     pub(crate) color_space: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -75,7 +75,7 @@ pub(crate) struct Spz {
     pub(crate) buffer_view: usize,
 }
 
-/// What is shown of `material.extensions.KHR_materials_pbrSpecularGlossiness`.
+/// Used properties of `material.extensions.KHR_materials_pbrSpecularGlossiness`.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct SpecularGlossiness {
@@ -91,7 +91,7 @@ fn white() -> [f32; 4] {
 /// `node.extensions.EXT_mesh_gpu_instancing`.
 #[derive(Deserialize)]
 pub(super) struct Instancing {
-    /// Accessors with an element a copy.
+    /// Accessors with one element per instance.
     pub(super) attributes: BTreeMap<String, usize>,
 }
 
@@ -120,7 +120,7 @@ pub(crate) struct SceneContract {
     pub(crate) sort_key: String,
     #[serde(default = "stable")]
     pub(crate) mode: String,
-    /// Absent = infinite, which JSON cannot say.
+    /// Absent means infinite, which JSON cannot represent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) lambda: Option<f32>,
     #[serde(default = "one")]
@@ -133,7 +133,7 @@ pub(crate) struct SceneContract {
     pub(crate) footprint: Footprint,
 }
 
-/// How projections are widened: [`PixelFilter`].
+/// Widening of projections: [`PixelFilter`].
 #[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Footprint {
@@ -186,7 +186,7 @@ pub(crate) struct Radiance {
 pub(crate) struct OpacityField {
     #[serde(flatten)]
     pub(crate) source: TexelSource,
-    /// Applied after filtering: `none` or `logistic`.
+    /// Activation applied after texture filtering: `none` or `logistic`.
     #[serde(default = "none")]
     pub(crate) activation: String,
 }
@@ -207,7 +207,7 @@ fn node() -> String {
     "node".to_owned()
 }
 
-/// A field over UV space: `accessor` with `width` and `height`, or `texture`.
+/// Field over UV space: `accessor` with `width` and `height`, or `texture`.
 #[derive(Default, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct TexelSource {
@@ -256,7 +256,7 @@ pub(crate) struct Surface {
     /// Accessor: key times of `translations`, in seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) times: Option<usize>,
-    /// Accessor: what is added to POSITION at each of them.
+    /// Accessor: displacement added to POSITION at each key time.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) translations: Option<usize>,
     /// `LINEAR` or `STEP`.
@@ -268,11 +268,11 @@ pub(crate) struct Surface {
 #[derive(Deserialize)]
 pub(crate) struct SplatExtension {
     pub(crate) binding: Option<BindingObject>,
-    /// Which field deforms them: fields are not played.
+    /// Deformation field of the splats, which is not played.
     pub(crate) deformation: Option<IgnoredAny>,
 }
 
-/// What its splats follow.
+/// Binding of the splats to the triangles below a node.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct BindingObject {
@@ -295,7 +295,7 @@ fn edge_normal() -> String {
     "edgeNormal".to_owned()
 }
 
-/// `camera.extras.centaur`: what a glTF camera cannot say.
+/// `camera.extras.centaur`: camera parameters that a glTF camera cannot express.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct ExactCamera {
     pub(crate) width: u32,
@@ -304,7 +304,8 @@ pub(crate) struct ExactCamera {
     pub(crate) fy: f64,
     pub(crate) cx: f64,
     pub(crate) cy: f64,
-    /// World→camera rotation, row-major; `OpenCV` axes, frame of the capture. Without it or the translation the node says where the camera is.
+    /// World→camera rotation, row-major; `OpenCV` axes, frame of the capture. Without rotation or translation, the
+    /// node's transform applies.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) rotation: Option<[f64; 9]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -333,8 +334,8 @@ impl SceneContract {
         }
     }
 
-    /// `at` is the JSON pointer of this object; `near` is for scenes that leave it to their cameras. Choices that are not known here are the
-    /// default, with a note.
+    /// Converts to a composition. `at` is the JSON pointer of this object; `near` applies to scenes that leave the near
+    /// plane to their cameras. Unknown choices are replaced by defaults, with a note.
     pub(crate) fn composition(&self, at: &str, near: f32, notes: &mut Vec<String>) -> Result<Composition, Fault> {
         let mode = OrderMode::ALL.into_iter().find(|mode| mode.name() == self.mode);
         let mut note_unknown = |key: &str, token: &str, default: &str| {

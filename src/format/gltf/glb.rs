@@ -1,4 +1,4 @@
-//! The GLB container: a 12-byte header, a JSON chunk, a binary chunk.
+//! GLB container: a 12-byte header, a JSON chunk, a binary chunk.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -9,21 +9,21 @@ pub(super) const MAGIC: &[u8; 4] = b"glTF";
 const JSON: u32 = 0x4E4F_534A;
 const BIN: u32 = 0x004E_4942;
 
-/// Where the JSON stands, always.
+/// Offset of the JSON text, always the same.
 pub(super) const JSON_OFFSET: usize = 20;
 
-/// What a GLB file holds.
+/// Chunks of a GLB file.
 pub(super) struct Chunks {
     pub(super) json: Vec<u8>,
-    /// Place of the binary chunk in the file.
+    /// Range of the binary chunk in the file.
     pub(super) bin: Option<Range<usize>>,
 }
 
-/// Takes a file apart, of which the binary chunk is left where it is.
+/// Splits a file into its chunks; the binary chunk is not read.
 pub(super) fn split(file: &mut (impl Read + Seek)) -> Result<Chunks, Fault> {
     let file_length = file.seek(SeekFrom::End(0)).map_err(|e| Fault::unreadable(0, &e))? as usize;
     let mut read = |offset: usize, size: usize| -> Result<Vec<u8>, Fault> {
-        // Ranges have been compared with the file's length.
+        // Safe to allocate: ranges have been checked against the file's length.
         let mut bytes = vec![0; size];
         let read = file.seek(SeekFrom::Start(offset as u64)).and_then(|_| file.read_exact(&mut bytes));
         read.map_err(|e| Fault::unreadable(offset as u64, &e)).map(|()| bytes)
@@ -59,7 +59,7 @@ pub(super) fn split(file: &mut (impl Read + Seek)) -> Result<Chunks, Fault> {
         return Err(Fault::byte(16, "a JSON chunk first", format!("chunk type {kind:#010x}")));
     }
     let (mut offset, mut bin) = (json.end, None);
-    // Chunks of other types are to be ignored.
+    // Chunks of other types must be ignored.
     while bin.is_none() && offset + 8 <= length {
         let (kind, data) = chunk(offset)?;
         offset = data.end;
@@ -68,8 +68,8 @@ pub(super) fn split(file: &mut (impl Read + Seek)) -> Result<Chunks, Fault> {
     Ok(Chunks { json: read(json.start, json.len())?, bin })
 }
 
-/// The container's bytes before a JSON chunk and a binary chunk of these lengths, both to be padded to multiples of 4;
-/// `None` if it would pass 4 GiB, the most that the container can address.
+/// Header bytes before a JSON chunk and a binary chunk of these lengths, which are both padded to multiples of 4;
+/// `None` if the file would exceed the container's limit of 4 GiB.
 pub(super) fn headers(json: usize, bin: usize) -> Option<[Vec<u8>; 2]> {
     let (json, bin) = (json.checked_next_multiple_of(4)?, bin.checked_next_multiple_of(4)?);
     let bin_chunk = if bin == 0 { 0 } else { 8 + bin };

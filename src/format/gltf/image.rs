@@ -1,4 +1,4 @@
-//! Decodes textures of a glTF file.
+//! Decoding of a glTF file's textures.
 
 use std::io::Cursor;
 
@@ -12,14 +12,14 @@ use crate::format::map_budget::{Identity, MapBudget, identity};
 use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
 use crate::scene::Texture;
 
-/// Texels as stored, 0..1, no transfer function undone; rows from the top.
+/// Texels as stored, 0..1, without undoing a transfer function; rows from the top.
 pub(in crate::format) struct Texels {
     pub(in crate::format) width: u32,
     pub(in crate::format) height: u32,
     pub(in crate::format) rgba: Vec<[f32; 4]>,
-    /// Whether it is a picture of colours in 8 bits, which come in sRGB where nothing is said.
+    /// Whether the image has 8-bit colours, which are conventionally sRGB if nothing is stated.
     pub(in crate::format) is_srgb_by_custom: bool,
-    /// The file.
+    /// Identity of the encoded image.
     pub(in crate::format) encoded: Identity,
 }
 
@@ -29,7 +29,7 @@ impl Asset {
         texels(self.encoded(index)?)
     }
 
-    /// The file of the image of texture `index`, and where the document has it.
+    /// Encoded image of texture `index`, and its place in the document.
     pub(super) fn encoded(&self, index: usize) -> Result<(String, Vec<u8>), Fault> {
         let json = self.document.as_json();
         let texture = self.document.textures().nth(index);
@@ -50,12 +50,12 @@ impl Asset {
     }
 }
 
-/// Decodes what [`Asset::encoded`] has found.
+/// Decodes the result of [`Asset::encoded`].
 pub(super) fn texels((at, encoded): (String, Vec<u8>)) -> Result<Texels, Fault> {
     decode(encoded).map_err(|(expected, found)| Fault::pointer(at, expected, found))
 }
 
-/// What kind of picture a file is, by its first bytes.
+/// Media type of an image, by its first bytes.
 pub(in crate::format) fn media_type(content: &[u8]) -> Option<&'static str> {
     match content {
         [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
@@ -68,10 +68,10 @@ pub(in crate::format) fn media_type(content: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// What is expected where a picture is.
+/// Expectation stated where an image is missing or unreadable.
 const IMAGE: &str = "a PNG, JPEG or WebP image";
 
-/// Decodes a PNG (8 or 16 bit), JPEG or `WebP`. On failure: what was expected, and what was found.
+/// Decodes a PNG (8 or 16 bit), JPEG or `WebP`. On failure: expectation and finding.
 pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, String)> {
     let undecodable = |e: &dyn std::fmt::Display| (IMAGE.to_owned(), e.to_string());
     let (encoded_bytes, identity) = (encoded.len() as u64, identity(&encoded));
@@ -99,7 +99,7 @@ pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, Str
 }
 
 fn webp_texels(encoded: &[u8], identity: Identity) -> Result<Texels, (String, String)> {
-    // WebP codes an image of one colour in next to no bits: up to this size any ratio is believed.
+    // WebP codes an image of one colour in almost no bits: up to this size any ratio is accepted.
     const SMALL: usize = 1 << 24;
     let undecodable = |e: image_webp::DecodingError| (IMAGE.to_owned(), e.to_string());
     let mut decoder = image_webp::WebPDecoder::new(Cursor::new(encoded)).map_err(undecodable)?;

@@ -1,4 +1,4 @@
-//! Copies of a mesh at one node, by `EXT_mesh_gpu_instancing`.
+//! Instances of a mesh at one node, by `EXT_mesh_gpu_instancing`.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -10,17 +10,17 @@ use super::lift::Asset;
 use super::transform::unit;
 use crate::format::error::{Fault, from_value};
 
-/// Bytes that a copy takes besides its arrays: where it is, and the bone that it hangs on.
+/// Bytes taken by an instance besides its arrays: its transform and its bone.
 pub(in crate::format) const BYTES_OF_COPY: u64 = 512;
 
-/// Attributes of copies that say where they are.
+/// Attributes of instances that determine their transforms.
 const PLACES: [&str; 3] = ["TRANSLATION", "ROTATION", "SCALE"];
 
-/// Nodes of a document whose mesh is shown once, whatever copies it has.
+/// Nodes of a document whose mesh is shown once, regardless of instances.
 pub(in crate::format) struct Single {
-    /// Those that splats are bound to.
+    /// Nodes to which splats are bound.
     nodes: HashSet<u64>,
-    /// Meshes with splats that are bound.
+    /// Meshes whose splats are bound.
     meshes: HashSet<u64>,
 }
 
@@ -39,7 +39,7 @@ impl Single {
         Self { nodes, meshes }
     }
 
-    /// Why a node of this index is one of them.
+    /// Reason for which the mesh of a node is shown once, if it is.
     fn why(&self, index: usize, node: &Value) -> Option<&'static str> {
         let mesh = node.get("mesh").and_then(Value::as_u64);
         if node.get("skin").is_some() {
@@ -50,7 +50,7 @@ impl Single {
     }
 }
 
-/// Where the copies of the mesh of a node are, in its space; `None` if the mesh is shown once, where the node is.
+/// Transforms of the instances of a node's mesh, in the node's space; `None` if the mesh is shown once, at the node.
 pub(in crate::format) fn copies(
     asset: &Asset,
     single: &Single,
@@ -79,7 +79,7 @@ pub(in crate::format) fn copies(
         if !t.iter().chain(r).chain(s).all(|v| v.is_finite()) {
             return Err(Fault::pointer(format!("{at}/attributes"), "finite numbers", format!("others in copy {i}")));
         }
-        // As some hide a copy: it has no extent.
+        // Zero scale is a common way to hide an instance: it has no extent.
         if *s == [0.0; 3] {
             continue;
         }
@@ -92,7 +92,7 @@ pub(in crate::format) fn copies(
     Ok(Some(copies))
 }
 
-/// How many copies there are, on which all attributes have to agree; `None` without any.
+/// Number of instances, on which all attributes must agree; `None` without attributes.
 fn count(asset: &Asset, attributes: &BTreeMap<String, usize>, at: &str) -> Result<Option<usize>, Fault> {
     let mut count: Option<(&str, usize)> = None;
     for (name, &index) in attributes {
@@ -110,7 +110,7 @@ fn count(asset: &Asset, attributes: &BTreeMap<String, usize>, at: &str) -> Resul
     Ok(count.map(|(_, count)| count))
 }
 
-/// An attribute of all copies, or what it is where there is none.
+/// Values of an attribute for all instances, or its default where the attribute is absent.
 fn elements<const N: usize>(
     asset: &Asset,
     attributes: &BTreeMap<String, usize>,
@@ -121,7 +121,7 @@ fn elements<const N: usize>(
     attributes.get(name).map_or_else(|| Ok(vec![default; count]), |&accessor| asset.floats::<N>(accessor))
 }
 
-/// Whether a scene lacks something of the copies in a document: where one is shown, and attributes of their own.
+/// Whether a scene lacks part of a document's instances: instances that are shown once only, or custom attributes.
 pub(super) fn is_in_part(root: &Value) -> bool {
     let single = Single::of(root);
     let nodes = root.get("nodes").and_then(Value::as_array).into_iter().flatten();

@@ -1,8 +1,8 @@
-//! Integers that are written as `5126.0` or `1e2`, which JSON does not tell from others, and typed readers do.
+//! Normalisation of integers written as `5126.0` or `1e2`, which JSON does not distinguish but typed readers do.
 
 use serde_json::{Number, Value};
 
-/// Properties of glTF and of the extensions read here that are integers, or arrays of them.
+/// Properties of glTF and of the supported extensions that are integers, or arrays of them.
 const INTEGERS: [&str; 54] = [
     "accessor",
     "bias",
@@ -60,18 +60,19 @@ const INTEGERS: [&str; 54] = [
     "wrapT",
 ];
 
-/// Properties whose objects have integers alone: accessors by the names of attributes.
+/// Properties whose objects contain only integers: accessors by attribute name.
 const OF_INTEGERS: [&str; 2] = ["attributes", "targets"];
 
-/// Magnitude from which f64 does not tell integers apart.
+/// Magnitude beyond which f64 does not represent all integers.
 const BEYOND: f64 = 9e15;
 
-/// Writes whole numbers as integers where glTF has integers. All else stays as it is, and what is in `extras`.
+/// Rewrites whole numbers as integers where glTF has integers. Other numbers, and all content of `extras`, stay
+/// unchanged.
 pub(in crate::format) fn write_as_integers(root: &mut Value) {
     visit(root, false, false);
 }
 
-/// `here`: whether numbers are integers; `below`: whether those of objects are as well.
+/// Visits a value; `here`: whether its numbers are integers; `below`: whether those of nested objects are, too.
 fn visit(value: &mut Value, here: bool, below: bool) {
     match value {
         Value::Number(number) if here => {

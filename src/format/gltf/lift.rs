@@ -1,11 +1,11 @@
-//! Opens a glTF file: takes out of the JSON what the `gltf` crate cannot hold, gives the rest (the core: nodes, meshes,
-//! materials, accessors, cameras) to it, finds the buffers, which stay in their files, and decompresses buffer views, of whose
-//! documents buffers are loaded.
+//! Opening of a glTF file: removes from the JSON what the `gltf` crate cannot represent, passes the rest (the core:
+//! nodes, meshes, materials, accessors, cameras) to the crate, locates the buffers, which stay in their files, and
+//! decompresses buffer views; documents with compressed views have their buffers loaded.
 //!
-//! The crate collapses all attributes with a `:` in the name into one key and refuses extensions that it does not know
-//! in `extensionsRequired`; both are lifted out here, and nowhere else. It also refuses accessors without data, which are zeros or whose data
-//! an extension has: they get a buffer view beyond those of the file. And it refuses primitives without positions, which get those of an
-//! accessor beyond those of the file.
+//! The crate merges all attributes with a `:` in the name into one key and rejects unknown extensions in
+//! `extensionsRequired`; both are removed here, and nowhere else. It also rejects accessors without data (all zeros, or
+//! data given by an extension), which get a buffer view beyond those of the file, and primitives without positions,
+//! which get an accessor beyond those of the file.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io::Read as _;
@@ -24,60 +24,61 @@ use super::uri::open_once;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
 
-/// Attributes that the core does not define, by (mesh, primitive): name → accessor.
+/// Attributes not defined by the core, by (mesh, primitive): name → accessor.
 type Attributes = HashMap<(usize, usize), BTreeMap<String, usize>>;
 
 /// An opened glTF file.
 pub(in crate::format) struct Asset {
-    /// The core.
+    /// Core document.
     pub(in crate::format) document: gltf::Document,
-    /// The JSON as it is in the file, but for the `uri`s of buffers, whose content is in `buffers`, and for integers, which are written as such.
+    /// JSON as in the file, except for the `uri`s of buffers, whose content is in `buffers`, and for integers, which
+    /// are written as such.
     pub(in crate::format) root: Value,
-    /// `KHR_gaussian_splatting:SCALE` and its like.
+    /// Attributes such as `KHR_gaussian_splatting:SCALE`.
     pub(in crate::format) attributes: Attributes,
-    /// Primitives (of mesh, in mesh) without positions, which have some in the core all the same.
+    /// Primitives (mesh, index in the mesh) without positions, which have substitutes in the core document.
     unplaced: HashSet<(usize, usize)>,
     /// `extensionsUsed` and `extensionsRequired` of the file.
     pub(in crate::format) extensions_used: Vec<String>,
     pub(in crate::format) extensions_required: Vec<String>,
-    /// Length of the JSON text.
+    /// Length of the JSON text in bytes.
     pub(in crate::format) json_bytes: usize,
-    /// Where buffers are besides that text and the chunk of a `.glb`.
+    /// Sizes of buffers outside the chunk of a `.glb`.
     pub(super) places: Places,
     /// One per glTF buffer, at least as long as declared; empty where all views of it are stored compressed.
     pub(super) buffers: Vec<Buffer>,
-    /// Buffer views that are stored compressed, decompressed.
+    /// Decompressed buffer views, by index.
     pub(super) plain_views: HashMap<usize, Vec<u8>>,
-    /// Folder of the file: images and buffers may lie in it.
+    /// Folder of the file, which may contain images and buffers.
     pub(super) folder: PathBuf,
-    /// Length of the buffers, and of the decompressed views.
+    /// Length of the buffers in bytes, and of the decompressed views (`view_bytes`).
     buffer_bytes: usize,
     view_bytes: usize,
-    /// Bytes of arrays that have been made of it, see [`Asset::spend`].
+    /// Bytes of arrays made from the file so far, see [`Asset::spend`].
     spent: AtomicU64,
-    /// The most that may be.
+    /// Upper bound on `spent`.
     most: u64,
 }
 
-/// Bytes of buffers that are no chunk of a `.glb`.
+/// Sizes in bytes of buffers that are not a chunk of a `.glb`.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Places {
-    /// Of the data URIs in the JSON text, and of what they hold.
+    /// Data URIs in the JSON text (`uris`), and their decoded content (`embedded`).
     pub(super) uris: usize,
     pub(super) embedded: usize,
-    /// Of files, each once.
+    /// Separate files, each counted once.
     pub(super) beside: usize,
 }
 
-/// Bytes of arrays that a byte of the file may become, above what any small file may. Accessors in many places and meshes at many
-/// nodes multiply it; real files stay far below.
+/// Bytes of arrays allowed per byte of the file, beyond the amount allowed for any file (`ALWAYS`). Accessors used in
+/// many places and meshes at many nodes multiply memory; real files stay far below.
 const MAX_RATIO: u64 = 512;
 const ALWAYS: u64 = 1 << 30;
 
-/// What channels of animations move.
+/// Animation paths of the core.
 const PATHS: [&str; 4] = ["translation", "rotation", "scale", "weights"];
 
-/// Extensions without which a file cannot be understood, and which are understood here.
+/// Extensions that may be required and are implemented here.
 const UNDERSTOOD: [&str; 13] = [
     KHR_SPLATS,
     HYBRID,
@@ -95,7 +96,8 @@ const UNDERSTOOD: [&str; 13] = [
     "KHR_mesh_quantization",
 ];
 
-/// Extensions that leave the base colour alone, which is what is shown: files that require them are read without, with a note.
+/// Extensions that do not affect the base colour, the only part shown: files that require them are read without, with a
+/// note.
 const UNSHOWN: [&str; 13] = [
     "EXT_mesh_features",
     "EXT_structural_metadata",
@@ -112,7 +114,8 @@ const UNSHOWN: [&str; 13] = [
     "KHR_xmp_json_ld",
 ];
 
-/// What is expected in the place of an extension that a file requires; `None` if it can be read with that. The list of those is too long for a line.
+/// Expectation stated for an unsupported required extension; `None` if a file that requires it can be read. The list of
+/// supported ones would be too long for a line.
 pub(in crate::format) fn expected_for(required: &str) -> Option<&'static str> {
     let is_known = UNDERSTOOD.into_iter().chain(UNSHOWN).any(|name| name == required);
     (!is_known).then_some("an extension that is understood here, or that changes nothing of what is shown")
@@ -136,7 +139,7 @@ impl Asset {
         opened.map_err(|fault| fault.in_file(path))
     }
 
-    /// As [`Self::open`], of a file in memory.
+    /// Same as [`Self::open`], for a file in memory.
     #[cfg(test)]
     pub(super) fn parse(bytes: &[u8], folder: PathBuf) -> Result<Self, Fault> {
         if !bytes.starts_with(glb::MAGIC) {
@@ -150,7 +153,7 @@ impl Asset {
         let json_bytes = json.len();
         let mut root: Value = from_json(&json, offset, "glTF JSON")?;
         write_as_integers(&mut root);
-        // It may hold all buffers.
+        // Freed early, because the text may contain all buffers.
         drop(json);
         let extensions_used = strings(&root, "extensionsUsed");
         let extensions_required = strings(&root, "extensionsRequired");
@@ -158,11 +161,11 @@ impl Asset {
         let Core { document, attributes, unplaced } = core(&root)?;
         let in_memory = |i: usize| match buffers.get(i) {
             Some(Buffer::Memory(bytes)) => Some(bytes.as_slice()),
-            // Those of documents with compressed views are loaded.
+            // Only without compressed views: else all buffers have been loaded.
             Some(Buffer::File { .. }) | None => None,
         };
         let plain_views = meshopt::decompress(&root, in_memory).collect::<Result<HashMap<_, _>, _>>()?;
-        // Of those that are in the same place one.
+        // Buffers in the same place are counted once.
         let mut starts = HashSet::new();
         let buffer_bytes = buffers.iter().filter(|buffer| starts.insert(buffer.place())).map(Buffer::len).sum();
         let view_bytes = plain_views.values().map(Vec::len).sum();
@@ -185,21 +188,21 @@ impl Asset {
         })
     }
 
-    /// Length of all buffers, those that are in the same place counted once.
+    /// Total length of the buffers, counting those in the same place once.
     pub(super) fn buffer_bytes(&self) -> usize {
         self.buffer_bytes
     }
 
-    /// Length of all that the document refers to.
+    /// Total length of the data to which the document refers.
     pub(super) fn stored_bytes(&self) -> usize {
         self.buffer_bytes + self.view_bytes
     }
 
-    /// Counts bytes that something at `at` takes in memory, before or after it has been made; what is made at once is at most
-    /// in proportion to the file.
+    /// Counts the memory in bytes taken by something at `at`, before or after it is allocated; a single allocation is
+    /// at most proportional to the file's size.
     ///
     /// # Errors
-    /// If all that has been counted is out of proportion.
+    /// If the total counted exceeds the limit for this file.
     pub(in crate::format) fn spend(&self, bytes: u64, at: &str) -> Result<(), Fault> {
         let add = |spent: u64| Some(spent.saturating_add(bytes));
         let spent = self.spent.fetch_update(Ordering::Relaxed, Ordering::Relaxed, add).unwrap_or_default();
@@ -210,13 +213,13 @@ impl Asset {
         Err(Fault::pointer(at, expected, "more, by repeated use"))
     }
 
-    /// Whether primitive `id` (of mesh, in mesh) has positions. Without any it is not shown (glTF 2.0, 3.7.2.1), unless an extension
-    /// has them.
+    /// Whether primitive `id` (mesh, index in the mesh) has positions. Without positions it is not shown (glTF 2.0,
+    /// 3.7.2.1), unless an extension provides them.
     pub(in crate::format) fn has_positions(&self, id: (usize, usize)) -> bool {
         !self.unplaced.contains(&id)
     }
 
-    /// Those positions.
+    /// Positions of a primitive, if it has any.
     pub(super) fn positions<'a>(
         &self,
         id: (usize, usize),
@@ -225,12 +228,12 @@ impl Asset {
         primitive.get(&gltf::Semantic::Positions).filter(|_| self.has_positions(id))
     }
 
-    /// Whether a buffer view is one of the file.
+    /// Whether a buffer view is one of the file's, not one added here.
     pub(super) fn has_view(&self, view: &gltf::buffer::View<'_>) -> bool {
         self.root.get("bufferViews").and_then(Value::as_array).is_some_and(|views| view.index() < views.len())
     }
 
-    /// Which channels of an animation of the file those of the core are.
+    /// Per channel of an animation in the core document, its index in the file.
     pub(super) fn channels(&self, animation: usize) -> Vec<usize> {
         let nodes = self.root.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
         let channels = self.root.pointer(&format!("/animations/{animation}/channels")).and_then(Value::as_array);
@@ -238,7 +241,7 @@ impl Asset {
         of_core.map(|(i, _)| i).collect()
     }
 
-    /// Refuses files of a version that is not understood here: of another major one, or of a minor one that says so.
+    /// Rejects files of unsupported versions: of another major version, or with a minor version stated as required.
     pub(super) fn check_version(&self) -> Result<(), Fault> {
         for (key, newest_minor) in [("version", u32::MAX), ("minVersion", 0)] {
             let at = format!("/asset/{key}");
@@ -258,7 +261,7 @@ impl Asset {
         Ok(())
     }
 
-    /// As [`Self::check_version`]; refuses also files that require extensions without which they cannot be understood.
+    /// Same as [`Self::check_version`], and rejects files that require unsupported extensions.
     pub(in crate::format) fn check_required(&self) -> Result<(), Fault> {
         self.check_version()?;
         let refused = self.extensions_required.iter().find_map(|name| Some((name, expected_for(name)?)));
@@ -267,13 +270,13 @@ impl Asset {
         })
     }
 
-    /// Extensions that the file requires, and that it is read without.
+    /// Required extensions without which the file is read nevertheless.
     pub(super) fn unshown(&self) -> impl Iterator<Item = &str> {
         self.extensions_required.iter().map(String::as_str).filter(|name| UNSHOWN.contains(name))
     }
 }
 
-/// What the crate understands, validated by it, and what it does not.
+/// Core document validated by the crate, and the content removed from it.
 struct Core {
     document: gltf::Document,
     attributes: Attributes,
@@ -307,7 +310,7 @@ fn strings(root: &Value, key: &str) -> Vec<String> {
     array.into_iter().flatten().filter_map(|v| v.as_str().map(str::to_owned)).collect()
 }
 
-/// `meshes[0].primitives[1]` → `/meshes/0/primitives/1`.
+/// Converts a path to a JSON pointer: `meshes[0].primitives[1]` → `/meshes/0/primitives/1`.
 fn rfc6901(path: &str) -> String {
     let mut pointer = String::from("/");
     for c in path.chars() {
@@ -320,7 +323,7 @@ fn rfc6901(path: &str) -> String {
     pointer
 }
 
-/// Leaves only positions and texture coordinates to the core.
+/// Removes all attributes except positions and texture coordinates from the core.
 fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
     let accessors = root.get("accessors").and_then(Value::as_array).map_or(0, Vec::len);
     let mut lifted = HashMap::new();
@@ -331,7 +334,7 @@ fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
             let Some(attributes) = primitive.get_mut("attributes").and_then(Value::as_object_mut) else { continue };
             let mut others = BTreeMap::new();
             for (name, value) in attributes.iter() {
-                // The crate indexes with POSITION before it has checked it.
+                // The crate uses POSITION as an index before checking it.
                 let index = value.as_u64().and_then(|i| usize::try_from(i).ok()).filter(|&i| i < accessors);
                 let index = index.ok_or_else(|| {
                     let at = format!("/meshes/{m}/primitives/{p}/attributes/{name}");
@@ -348,7 +351,7 @@ fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
     Ok(lifted)
 }
 
-/// Gives primitives without positions those of an accessor beyond those of the file; returns which.
+/// Gives primitives without positions those of an accessor beyond those of the file; returns these primitives.
 fn fill_positions(core: &mut Value) -> HashSet<(usize, usize)> {
     let accessor = core.get("accessors").and_then(Value::as_array).map_or(0, Vec::len);
     let mut filled = HashSet::new();
@@ -371,7 +374,7 @@ fn fill_positions(core: &mut Value) -> HashSet<(usize, usize)> {
     filled
 }
 
-/// Adds an item to a list of a document.
+/// Appends an item to a list of a document.
 fn append(core: &mut Value, key: &str, item: Value) {
     let list = core.as_object_mut().and_then(|core| core.entry(key).or_insert_with(|| json!([])).as_array_mut());
     if let Some(list) = list {
@@ -379,8 +382,8 @@ fn append(core: &mut Value, key: &str, item: Value) {
     }
 }
 
-/// Leaves only channels of animations to the core that move nodes; others are those of extensions (`KHR_animation_pointer`), or are
-/// to be ignored. The crate takes the word of channels for their node and what they move.
+/// Removes all animation channels that do not animate nodes; these belong to extensions (`KHR_animation_pointer`), or
+/// are to be ignored. The crate does not validate a channel's node and path.
 fn lift_channels(root: &mut Value) -> Result<(), Fault> {
     let nodes = root.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
     let animations = root.get_mut("animations").and_then(Value::as_array_mut).into_iter().flatten();
@@ -406,7 +409,7 @@ fn lift_channels(root: &mut Value) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Whether a channel of an animation moves one of so many nodes.
+/// Whether an animation channel animates one of `nodes` nodes.
 fn is_core_channel(channel: &Value, nodes: usize) -> bool {
     let target = channel.get("target").unwrap_or(&Value::Null);
     let is_core = target.get("path").and_then(Value::as_str).is_some_and(|path| PATHS.contains(&path));
@@ -414,7 +417,7 @@ fn is_core_channel(channel: &Value, nodes: usize) -> bool {
     is_core && node.is_some_and(|node| node < nodes as u64)
 }
 
-/// Gives accessors without data a view that [`Asset::has_view`] does not count.
+/// Gives accessors without data a buffer view that [`Asset::has_view`] does not count.
 fn fill_accessors(core: &mut Value) {
     let view = core.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);
     let mut filled = false;
@@ -432,7 +435,7 @@ fn fill_accessors(core: &mut Value) {
     }
 }
 
-/// Gives positions bounds where they have none, which the crate demands and nobody here believes.
+/// Gives positions without bounds some, which the crate requires but which are not used.
 fn fill_bounds(core: &mut Value) {
     let meshes = core.get("meshes").and_then(Value::as_array).into_iter().flatten();
     let primitives = meshes.filter_map(|mesh| mesh.get("primitives")?.as_array()).flatten();
@@ -450,12 +453,12 @@ fn fill_bounds(core: &mut Value) {
     }
 }
 
-/// Whether a document says what its scene is made of.
+/// Whether a document defines scenes.
 pub(super) fn has_scenes(root: &Value) -> bool {
     root.get("scenes").is_some_and(|scenes| scenes.as_array().is_none_or(|scenes| !scenes.is_empty()))
 }
 
-/// Gives a document without scenes one, of all nodes that are nobody's child.
+/// Gives a document without scenes a scene of all nodes that have no parent.
 pub(super) fn give_scene(root: &mut Value) {
     let nodes = root.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let children = nodes.iter().filter_map(|node| node.get("children")?.as_array()).flatten();
@@ -470,11 +473,11 @@ fn is_core(name: &str) -> bool {
     name == "POSITION" || name.starts_with("TEXCOORD_")
 }
 
-/// The content of every buffer, and where it is; takes their URIs out of the JSON.
+/// Loads or locates the content of every buffer, and removes the buffers' URIs from the JSON.
 fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<(Vec<Buffer>, Places), Fault> {
     let views = || root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
     let has_compressed = views().any(|v| meshopt::of_view(v).is_some());
-    // The plain form of a view that is stored compressed is not needed, and often not there.
+    // The uncompressed fallback of a compressed view is not needed, and often absent.
     let stored = |v: &Value| meshopt::of_view(v).map_or(v, |(_, compressed)| compressed).get("buffer")?.as_u64();
     let needed: HashSet<u64> = views().filter_map(stored).collect();
     let count = root.get("buffers").and_then(Value::as_array).map_or(0, Vec::len);

@@ -1,4 +1,4 @@
-//! Materials to maps: exact ones from `EXT_gaussian_splatting_hybrid`, else the base colour.
+//! Conversion of materials to maps: exact maps from `EXT_gaussian_splatting_hybrid`, else the base colour.
 
 use std::collections::HashMap;
 
@@ -19,26 +19,26 @@ use crate::format::error::{Fault, from_value, shown};
 use crate::format::map_budget::{Identity, MapBudget, identity};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
-/// A material as maps.
+/// Maps of a material.
 pub(super) struct Maps {
     pub(super) atlas: Atlas,
     pub(super) uv: UvMap,
-    /// How colours of vertices come in; `None` if the maps say everything.
+    /// How vertex colours are applied; `None` if the maps are complete without them.
     pub(super) base: Option<BaseColour>,
 }
 
-/// How the core makes colour and opacity.
+/// Computation of colour and opacity from a core material.
 #[derive(Clone, Copy)]
 pub(super) struct BaseColour {
     factor: [f32; 4],
-    /// `None` is opaque; 0 is blended; else the cut-off of a mask.
+    /// Alpha mode: `None` is opaque; 0 is blended; otherwise the cut-off of a mask.
     cutoff: Option<f32>,
     space: ColorSpace,
     pub(super) is_textured: bool,
 }
 
 impl BaseColour {
-    /// The texel of a map for `rgba`, linear light, before the material's factor.
+    /// Texel of a map for `rgba` in linear light, before the material's factor.
     pub(super) fn texel(&self, rgba: [f32; 4]) -> [f32; 4] {
         let linear = [0, 1, 2].map(|c| rgba[c] * self.factor[c]);
         let alpha = rgba[3] * self.factor[3];
@@ -51,14 +51,14 @@ impl BaseColour {
         [r, g, b, activation::map_logit(alpha)]
     }
 
-    /// The texels of a map for those of a picture. `is_whole`: all its channels are of one file.
+    /// Texels of a map for those of an image. `is_whole`: whether all its channels come from one file.
     fn texels(&self, picture: &Texels, is_whole: bool) -> Vec<f32> {
         let rgba = &picture.rgba;
         let of = |[r, g, b, a]: [f32; 4]| {
             let [r, g, b] = [r, g, b].map(color::srgb_to_linear);
             self.texel([r, g, b, a])
         };
-        // In 8 bits there are few values of a channel, none of which depends on the others.
+        // An 8-bit channel has few values, and channels are independent, so a table suffices.
         let texels: Vec<[f32; 4]> = if picture.is_srgb_by_custom && is_whole && rgba.len() > 256 {
             let table: Vec<[f32; 4]> = (0..=255u8).map(|v| of([f32::from(v) / 255.0; 4])).collect();
             let at = |v: f32| (v * 255.0).round() as usize;
@@ -70,7 +70,7 @@ impl BaseColour {
     }
 }
 
-/// Reads the maps of `material`, to be blended in `space`; counts them before they are made.
+/// Reads the maps of `material` for blending in `space`; counts their memory before allocation.
 pub(super) fn maps(
     asset: &Asset,
     material: &gltf::Material<'_>,
@@ -99,23 +99,23 @@ pub(super) fn maps(
     base_colour(asset, material, (space, [1.0; 4]), (budget, made), notes)
 }
 
-/// The map of a core material whose vertices all have one colour, where that is a factor: what [`Maps::base`] says.
+/// Map of a core material multiplied by a colour common to all vertices, as described by [`Maps::base`].
 pub(super) fn tinted(
     asset: &Asset,
     material: &gltf::Material<'_>,
     shown: (ColorSpace, [f32; 4]),
     counted: (&mut MapBudget, &mut Made),
 ) -> Result<Atlas, Fault> {
-    // What there is to say has been said of the maps without it.
+    // Notes have already been given for the maps without the colour.
     base_colour(asset, material, shown, counted, &mut vec![]).map(|maps| maps.atlas)
 }
 
-/// Where a material stands, as it is said.
+/// Place of a material, for messages.
 fn place_of(material: &gltf::Material<'_>) -> String {
     material.index().map_or("the default material".to_owned(), |i| format!("/materials/{i}"))
 }
 
-/// A choice of a material that is not known here, and where it is made: its maps would show something else.
+/// Unknown choice of a material, and the property that makes it: the maps would then have another meaning.
 fn unknown_choice<'a>(radiance: &'a Radiance, harmonics: &'a ShField) -> Option<(&'static str, &'a str)> {
     let opacity = radiance.opacity.as_ref().map(|field| ("opacity/activation", &*field.activation));
     let choices = opacity.into_iter().chain([("sphericalHarmonics/frame", &*harmonics.frame)]);
@@ -126,10 +126,10 @@ fn unknown_choice<'a>(radiance: &'a Radiance, harmonics: &'a ShField) -> Option<
     choices.into_iter().find(|(key, token)| !is_known(key, token))
 }
 
-/// The frame of maps that turns with triangles.
+/// Name of the frame in which view dependence rotates with triangles.
 const TRIANGLE: &str = "triangle";
 
-/// Where all texel sources of a material lie: over the same coordinates, as those of `like`.
+/// Common texture coordinates of all texel sources of a material: those of the first one.
 struct Coordinates<'a> {
     document: &'a gltf::Document,
     uv: UvMap,
@@ -137,7 +137,7 @@ struct Coordinates<'a> {
 }
 
 impl Coordinates<'_> {
-    /// Refuses a source that lies elsewhere; true if it goes on in another way beyond its borders.
+    /// Rejects a source with other coordinates; true if its wrapping beyond the borders differs.
     fn check(&self, source: &TexelSource, at: &str) -> Result<bool, Fault> {
         let own = UvMap::of_source(self.document, source, at)?;
         if own.set != self.uv.set {
@@ -151,12 +151,12 @@ impl Coordinates<'_> {
     }
 }
 
-/// Counts so many floats of maps at `at`.
+/// Reserves floats of maps at `at`.
 fn spend(budget: &mut MapBudget, floats: usize, at: &str) -> Result<(), Fault> {
     budget.spend(floats as u64).map_err(|(expected, found)| Fault::pointer(at, expected, found))
 }
 
-/// The maps of the extension, whose choices are known.
+/// Maps of the extension, all of whose choices are known.
 fn exact(
     asset: &Asset,
     radiance: &Radiance,
@@ -279,15 +279,15 @@ fn plane<const N: usize>(
     Ok(plane)
 }
 
-/// What a core material has as its base colour.
+/// Base colour of a core material.
 struct Base {
-    /// What it is called.
+    /// Name of the property, for messages.
     name: &'static str,
     factor: [f32; 4],
     picture: Option<Picture>,
 }
 
-/// A reference to a picture: where it stands, the index of its texture, how that lies.
+/// Reference to an image: its place in the document, the index of its texture, and its UV mapping.
 struct Picture {
     at: String,
     texture: usize,
@@ -295,7 +295,7 @@ struct Picture {
 }
 
 impl Picture {
-    /// That of a core material.
+    /// Image of a core material.
     fn of(info: Option<gltf::texture::Info<'_>>, at: String) -> Result<Option<Self>, Fault> {
         let Some(info) = info else { return Ok(None) };
         Ok(Some(Self { texture: info.texture().index(), uv: UvMap::of(&info, &at)?, at }))
@@ -303,7 +303,7 @@ impl Picture {
 }
 
 impl Base {
-    /// The diffuse colour of `KHR_materials_pbrSpecularGlossiness`, or what the core has.
+    /// Diffuse colour of `KHR_materials_pbrSpecularGlossiness`, or the core's base colour.
     fn of(document: &gltf::Document, material: &gltf::Material<'_>) -> Result<Self, Fault> {
         let at = place_of(material);
         let Some(value) = material.extension_value(SPECULAR_GLOSSINESS) else {
@@ -322,8 +322,8 @@ impl Base {
     }
 }
 
-/// What a core material emits, in linear light, where that is what it shows: its base colour is black, or no picture and emission is one.
-/// `None`: its base colour is shown.
+/// Emission of a core material in linear light, if that is what it shows: its base colour is black, or has no image
+/// while emission has one. `None`: the base colour is shown.
 fn emission(material: &gltf::Material<'_>, colour: [f32; 3], has_picture: bool) -> Option<[f32; 3]> {
     let strength = material.extension_value(EMISSIVE_STRENGTH).and_then(|e| e.get("emissiveStrength")?.as_f64());
     let light = material.emissive_factor().map(|v| v * strength.unwrap_or(1.0) as f32);
@@ -333,13 +333,13 @@ fn emission(material: &gltf::Material<'_>, colour: [f32; 3], has_picture: bool) 
     (is_lit && (is_black || is_only_picture)).then_some(light)
 }
 
-/// Maps of pictures that have been made, by the picture, what it is multiplied by, and the cut-off: materials of one file often share pictures.
+/// Maps made so far, keyed by image, factor and cut-off: materials of one file often share images.
 pub(super) type Made = HashMap<(Identity, [u32; 4], Option<u32>), Atlas>;
 
-/// A picture, and where it lies.
+/// Decoded image and its UV mapping.
 type Placed = (Texels, UvMap);
 
-/// Notes that a texture of so many texels is not interpolated by others.
+/// Adds a note if the sampler of a texture of `texels` texels asks for NEAREST filtering, which is read as linear.
 fn note_nearest(asset: &Asset, texture: usize, texels: usize, notes: &mut Vec<String>) {
     let sampler = asset.document.textures().nth(texture).map(|t| t.sampler());
     let is_nearest = sampler.and_then(|s| s.mag_filter()) == Some(MagFilter::Nearest);
@@ -349,13 +349,13 @@ fn note_nearest(asset: &Asset, texture: usize, texels: usize, notes: &mut Vec<St
     }
 }
 
-/// The picture of a core material; `None`, with a note, where it cannot be had: what else there is can be shown without.
+/// Image of a core material; `None`, with a note, if it is unavailable: the rest can be shown without it.
 fn placed(asset: &Asset, picture: Option<Picture>, notes: &mut Vec<String>) -> Option<Placed> {
     let file = asset.encoded(picture.as_ref()?.texture);
     placed_from(asset, picture?, file, notes)
 }
 
-/// That of a file that has been looked up.
+/// Image of a core material, from a file that has been looked up.
 fn placed_from(
     asset: &Asset,
     Picture { at, texture, uv }: Picture,
@@ -375,7 +375,7 @@ fn placed_from(
     }
 }
 
-/// The colours of `light`, which has no alpha, with the alpha of `cover`; `None` if neither is a picture.
+/// Colours of `light`, which has no alpha, with the alpha of `cover`; `None` if neither is an image.
 fn covered(light: Option<Placed>, cover: Option<Placed>, at: &str, notes: &mut Vec<String>) -> Option<Placed> {
     let Some((mut texels, uv)) = light else {
         let (mut texels, uv) = cover?;
@@ -393,8 +393,8 @@ fn covered(light: Option<Placed>, cover: Option<Placed>, at: &str, notes: &mut V
     Some((texels, uv))
 }
 
-/// The core material's base colour, or what it emits, as maps of degree 0 to be blended in this space; times a colour of its vertices, in linear
-/// light.
+/// Base colour or emission of a core material, as maps of degree 0 for blending in this space, multiplied by a vertex
+/// colour in linear light.
 fn base_colour(
     asset: &Asset,
     material: &gltf::Material<'_>,
@@ -405,7 +405,7 @@ fn base_colour(
     let at = place_of(material);
     let Base { name, factor: [r, g, b, alpha], picture } = Base::of(&asset.document, material)?;
     let emission = emission(material, [r, g, b], picture.is_some());
-    // Unlit is what maps are; light and shine they cannot follow.
+    // Maps are unlit; they cannot represent lighting and specular reflection.
     if material.extension_value(UNLIT).is_none() {
         let what = if emission.is_some() { "emission" } else { name };
         notes.push(format!("{at}: shown by its {what} alone, unlit"));
@@ -444,7 +444,7 @@ fn base_colour(
         }
     };
     base.is_textured = picture.is_some();
-    // Many maps may be of one image.
+    // Many maps may come from one image.
     picture.iter().for_each(|(texels, _)| budget.include(texels.encoded));
     let (texels, uv) = picture.unwrap_or_else(|| {
         let white = Texels { width: 1, height: 1, rgba: vec![[1.0; 4]], is_srgb_by_custom: true, encoded: (0, 0) };
@@ -455,7 +455,7 @@ fn base_colour(
         .and_then(|base| Atlas::new(base, None));
     let atlas = atlas.map_err(|e| Fault::from(e).under(at))?;
     made.extend(key.filter(|_| base.is_textured).map(|key| (key, atlas.clone())));
-    // Colours of vertices do not change what is emitted.
+    // Vertex colours do not affect emission.
     let of_vertices = emission.is_none().then_some(base);
     Ok(Maps { atlas, uv, base: of_vertices })
 }

@@ -1,5 +1,5 @@
-//! Triangle primitives as meshes of a scene. Primitives of one material become one mesh: they share its maps; those that an
-//! animation moves stay alone.
+//! Conversion of triangle primitives to meshes of a scene. Primitives with the same material become one mesh and share
+//! its maps, except animated ones.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -26,10 +26,10 @@ use crate::format::placed::{orthogonal, turned};
 use crate::scene::rig::RestSurface;
 use crate::scene::{Atlas, ColorSpace, Mesh, SceneError, Texture};
 
-/// Bytes that a mesh takes besides its arrays.
+/// Bytes of a mesh besides its arrays.
 const BYTES_OF_MESH: u64 = 1024;
 
-/// Floats of maps that are there for colours of vertices, 1 GiB of them.
+/// Upper bound on floats of maps multiplied by vertex colours, 1 GiB in total.
 const MAX_TINTED_FLOATS: u64 = 1 << 28;
 
 /// Meshes under construction.
@@ -37,27 +37,27 @@ pub(super) struct Meshes<'a> {
     asset: &'a Asset,
     motion: &'a Motion,
     poses: Poses,
-    /// Primitives at nodes that splats are bound to, and what has been read of them.
+    /// Primitives at nodes to which splats are bound; `bindable` has their content.
     wanted: HashSet<(usize, usize)>,
-    /// Accessors that several primitives have as their positions, of which each uses some.
+    /// Accessors used as positions by several primitives, each of which uses a part.
     common: HashSet<usize>,
     bindable: HashMap<(usize, usize), Bindable>,
     space: ColorSpace,
     stated_layers: Option<u32>,
-    /// From glTF's frame to the scene's.
+    /// Transform from glTF's frame to the scene's.
     frame: DMat4,
     maps: HashMap<Option<usize>, Maps>,
-    /// The maps of textured materials times a colour, and their floats.
+    /// Maps of textured materials multiplied by a colour; `tinted_floats`: their number of floats.
     tinted: HashMap<(Option<usize>, Tint), Atlas>,
     tinted_floats: u64,
     budget: MapBudget,
     made: Made,
     groups: Vec<Group>,
-    /// The group of a material and a colour, for primitives that may share it.
+    /// Index of the group for a material and a colour, for primitives that may share it.
     shared: HashMap<(Option<usize>, Option<Tint>), usize>,
 }
 
-/// The one colour of all vertices, its bits.
+/// Bits of a colour common to all vertices.
 type Tint = [u32; 4];
 
 #[derive(Default)]
@@ -66,28 +66,28 @@ struct Group {
     triangles: Vec<[u32; 3]>,
     corner_uvs: Vec<[Vec2; 3]>,
     material: Option<usize>,
-    /// What the material's are multiplied by.
+    /// Colour by which the material's maps are multiplied.
     tint: Option<Tint>,
-    /// In place of the material's.
+    /// Atlas used instead of the material's.
     atlas: Option<Atlas>,
-    /// How the material's are turned with the surface, where they depend on the direction.
+    /// Rotation of view dependence with the surface, if the material's maps are view-dependent.
     turn: Option<DMat3>,
-    /// Before it is posed, if an animation moves it.
+    /// Surface before posing, if it is animated.
     rest_surface: Option<RestSurface>,
 }
 
-/// All meshes, and what may move them.
+/// All meshes and their animation.
 pub(super) struct Finished {
     pub(super) meshes: Vec<Mesh>,
-    /// One per mesh; `None`: it keeps still.
+    /// Rest surface per mesh; `None` for static meshes.
     pub(super) rest_surfaces: Vec<Option<RestSurface>>,
     pub(super) poses: Poses,
-    /// By node and primitive, those that splats are bound to.
+    /// Primitives to which splats are bound, by (node, primitive).
     pub(super) bindable: HashMap<(usize, usize), Bindable>,
 }
 
 impl<'a> Meshes<'a> {
-    /// `stated_layers`: how many mesh layers the scene states that a pixel has.
+    /// Creates an empty collection; `stated_layers`: the number of mesh layers per pixel that the scene states.
     pub(super) fn new(
         asset: &'a Asset,
         motion: &'a Motion,
@@ -115,7 +115,7 @@ impl<'a> Meshes<'a> {
         })
     }
 
-    /// Takes in one primitive, in place of which there are `copies` if there are any; false if it has no triangles by its mode.
+    /// Adds a primitive, or its instances `copies` if there are any; false if its mode has no triangles.
     pub(super) fn add(
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
@@ -134,7 +134,7 @@ impl<'a> Meshes<'a> {
         }
         let has_own_order = primitive.extension_value(HYBRID).is_some();
         if !has_own_order && positions_of(primitive).is_some_and(|accessor| self.common.contains(&accessor)) {
-            // All of them have been read for those that it uses.
+            // The whole accessor has been read for the part that the primitive uses.
             self.asset.spend(geometry.positions.len() as u64 * 12, &at)?;
             geometry = geometry.of_used_vertices();
         }
@@ -148,7 +148,7 @@ impl<'a> Meshes<'a> {
             self.take_copies((node, transform), copies, &geometry, look)?;
             return Ok(true);
         }
-        // All of them would say the same.
+        // Every instance would give the same notes.
         let mut said = vec![];
         for (i, local) in copies.iter().enumerate() {
             self.asset.spend(BYTES_OF_COPY, &at)?;
@@ -160,7 +160,7 @@ impl<'a> Meshes<'a> {
         Ok(true)
     }
 
-    /// Takes in copies of the triangles of a primitive, which keep still and look the same from all sides, as one surface.
+    /// Adds instances of a primitive's triangles, which are static and not view-dependent, as one surface.
     fn take_copies(
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
@@ -190,7 +190,7 @@ impl<'a> Meshes<'a> {
         Ok(())
     }
 
-    /// Takes in the triangles of a primitive, which is there by this transform.
+    /// Adds the triangles of a primitive with this transform.
     fn take(
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
@@ -227,7 +227,7 @@ impl<'a> Meshes<'a> {
         Ok(())
     }
 
-    /// The maps of a material, read when it is first met.
+    /// Maps of a material, read on first use.
     fn maps_of(&mut self, material: &gltf::Material<'_>, notes: &mut Vec<String>) -> Result<&Maps, Fault> {
         let index = material.index();
         if !self.maps.contains_key(&index) {
@@ -246,7 +246,7 @@ impl<'a> Meshes<'a> {
         Ok(&self.maps[&index])
     }
 
-    /// A group that has its geometry to come: how the material shows the triangles of a primitive.
+    /// Group without geometry: the appearance that a material gives to the triangles of a primitive.
     fn look(
         &mut self,
         (node, transform): (&gltf::Node<'_>, DMat4),
@@ -302,7 +302,7 @@ impl<'a> Meshes<'a> {
             notes
                 .push(format!("{at}: a mesh without texture coordinates takes its colour from the centre of its maps"));
         }
-        // The transform of a skinned mesh's own node has no effect on what is seen of it either.
+        // The transform of a skinned mesh's own node does not affect its appearance either.
         let seen_by = if node.skin().is_some() { self.frame } else { transform };
         if maps.atlas.sh_degree() > 0 && seen_by != DMat4::IDENTITY {
             let turn = orthogonal(seen_by).ok_or_else(|| {
@@ -314,7 +314,8 @@ impl<'a> Meshes<'a> {
         Ok(group)
     }
 
-    /// Returns the group, and the first vertex in it.
+    /// Adds a group, merging it with one of the same appearance if allowed; returns its index and its first vertex
+    /// there.
     fn join(&mut self, group: Group) -> Result<(usize, u32), Fault> {
         let next = self.groups.len();
         if group.atlas.is_some() || group.turn.is_some() || group.rest_surface.is_some() {
@@ -341,7 +342,7 @@ impl<'a> Meshes<'a> {
             let maps = &self.maps[&group.material];
             let tinted = group.tint.map(|tint| &self.tinted[&(group.material, tint)]);
             let atlas = group.atlas.unwrap_or_else(|| tinted.unwrap_or(&maps.atlas).clone());
-            // Maps of colours of vertices do not repeat, as those of materials without a texture do not.
+            // Maps of vertex colours do not repeat, just as those of materials without a texture.
             let (atlas, said) = unrolling.unrolled(&maps.uv, atlas, &mut group.corner_uvs);
             notes.extend(said.map(|said| format!("/materials/{}: {said}", group.material.unwrap_or_default())));
             let in_material = |e: SceneError| {
@@ -363,7 +364,7 @@ fn positions_of(primitive: &gltf::Primitive<'_>) -> Option<usize> {
     primitive.get(&gltf::Semantic::Positions).map(|accessor| accessor.index())
 }
 
-/// Accessors that more than one primitive has as its positions.
+/// Accessors that more than one primitive uses as its positions.
 fn common_positions(document: &gltf::Document) -> HashSet<usize> {
     let (mut met, mut common) = (HashSet::new(), HashSet::new());
     let primitives = document.meshes().flat_map(|mesh| mesh.primitives().collect::<Vec<_>>());
@@ -372,13 +373,14 @@ fn common_positions(document: &gltf::Document) -> HashSet<usize> {
     common
 }
 
-/// Undeformed corners of triangles, in the order in which the file has them.
+/// Undeformed corners of triangles, in the file's order.
 fn undeformed(Triangles { triangles, rest_surface, is_mirrored, .. }: &Triangles) -> Vec<[Vec3; 3]> {
     let order = if *is_mirrored { [0, 2, 1] } else { [0, 1, 2] };
     triangles.iter().map(|t| order.map(|c| rest_surface.base[t[c] as usize])).collect()
 }
 
-/// Takes the vertices of the surface, in their own order, for the copies at seams that `source` lists; those of its rest only where it `moves`.
+/// Merges vertices that `source` lists as copies at seams into the surface's own vertices, in their order; the rest
+/// surface only if it `moves`.
 fn join_copies(geometry: &mut Triangles, source: &[u32], moves: bool) {
     let count = source.iter().max().map_or(0, |&v| v as usize + 1);
     let (mut own, mut copies) = (vec![Vec3::ZERO; count], vec![0; count]);
@@ -392,26 +394,26 @@ fn join_copies(geometry: &mut Triangles, source: &[u32], moves: bool) {
     }
 }
 
-/// The colour of all corners of triangles, if they have one.
+/// Common colour of all triangle corners, if there is one.
 fn one_colour(colors: &[[f32; 4]], triangles: &[[u32; 3]]) -> Option<[f32; 4]> {
     let mut of_corners = triangles.as_flattened().iter().filter_map(|&v| colors.get(v as usize));
     let first = of_corners.next()?;
     of_corners.all(|colour| colour == first).then_some(*first)
 }
 
-/// Whether some texels show nothing.
+/// Whether some texels are completely transparent.
 fn has_holes(atlas: &Atlas) -> bool {
     let nothing = activation::map_logit(0.0);
     atlas.base().texels().chunks_exact(4).any(|texel| texel[3] <= nothing)
 }
 
-/// A map of one texel.
+/// Map of one texel.
 fn plain(base: &BaseColour, colour: [f32; 4]) -> Result<Atlas, SceneError> {
     Atlas::new(Texture::new(1, 1, 4, base.texel(colour).to_vec())?, None)
 }
 
-/// The accessor of seam copies, if there is one and its claims hold: one entry per vertex, below their number, without gaps, and copies in one
-/// place.
+/// Accessor of seam copies, if there is one and it is valid: one entry per vertex, less than their number, without
+/// gaps, and copies at the same position.
 fn surface_vertices(
     asset: &Asset,
     node: &gltf::Node<'_>,

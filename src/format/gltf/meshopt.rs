@@ -1,4 +1,4 @@
-//! `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views whose bytes are stored compressed.
+//! Decoding of `EXT_meshopt_compression` and `KHR_meshopt_compression`: buffer views whose bytes are stored compressed.
 
 use std::collections::HashMap;
 
@@ -12,11 +12,11 @@ use serde_json::Value;
 use super::extension::extension_of;
 use crate::format::error::{Fault, from_value};
 
-/// Both names; KHR adds a version of the attribute codec and the filter COLOR.
+/// Names of the extension; KHR adds a version of the attribute codec and the filter COLOR.
 pub(in crate::format) const NAMES: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
-/// Bytes of vertices that one byte can stand for at most: two bits of a control byte say that 256 vertices have one
-/// byte in common. Indices take a byte or more each.
+/// Upper bound on decompressed bytes of vertices per stored byte: two bits of a control byte can state that a byte is
+/// equal in 256 vertices. Indices take a byte or more each.
 const MAX_RATIO: usize = 1024;
 
 /// `bufferView.extensions.*_meshopt_compression`.
@@ -33,13 +33,13 @@ struct Compressed {
     filter: Option<String>,
 }
 
-/// The compressed form of a buffer view, with its place below the view.
+/// Compressed form of a buffer view, with its path below the view.
 pub(super) fn of_view(view: &Value) -> Option<(&'static str, &Value)> {
     NAMES.into_iter().find_map(|name| Some((name, extension_of(view, name)?)))
 }
 
-/// Decompresses every compressed view of the document, given its buffers by index: (view, bytes). Many views may be of the same
-/// bytes: all of them together are bounded as one is.
+/// Decompresses every compressed view of the document, given its buffers by index: (view, bytes). Many views may share
+/// the same bytes, so the limit applies to all of them together.
 pub(in crate::format) fn decompress<'b>(
     root: &Value,
     buffer: impl Fn(usize) -> Option<&'b [u8]>,
@@ -68,16 +68,16 @@ pub(in crate::format) fn decompress<'b>(
     })
 }
 
-/// What the views of a document become.
+/// Memory of all decompressed views of a document.
 struct Total {
-    /// Bytes of their buffers, those in the same place counted once.
+    /// Bytes of their buffers, counting those in the same place once.
     stored: usize,
-    /// Decompressed, so far.
+    /// Bytes decompressed so far.
     bytes: usize,
 }
 
 impl Total {
-    /// Counts bytes before they are decompressed, or refuses them.
+    /// Counts bytes before they are decompressed, or rejects them.
     fn spend(&mut self, bytes: usize, at: &str) -> Result<(), Fault> {
         self.bytes = self.bytes.saturating_add(bytes);
         if self.bytes / MAX_RATIO <= self.stored {
@@ -126,7 +126,7 @@ impl Compressed {
         let damaged = |e: meshopt::Error| {
             Fault::pointer(at, format!("{count} elements of mode {}", self.mode), format!("damaged data ({e})"))
         };
-        // Little-endian words, whatever the machine.
+        // Little-endian words, regardless of the machine.
         let short = |words: Vec<u16>| words.iter().flat_map(|w| w.to_le_bytes()).collect();
         let long = |words: Vec<u32>| words.iter().flat_map(|w| w.to_le_bytes()).collect();
         Ok(match (self.mode.as_str(), stride) {
@@ -143,7 +143,7 @@ impl Compressed {
     }
 }
 
-/// One vertex: the codec takes its size from the type.
+/// Vertex: the codec takes its size from the type.
 #[derive(Clone, Copy)]
 struct Vertex<const WORDS: usize>([[u8; 4]; WORDS]);
 
@@ -153,7 +153,7 @@ impl<const WORDS: usize> Default for Vertex<WORDS> {
     }
 }
 
-/// `count` vertices of `stride` (4, 8 … 256) bytes.
+/// Decodes `count` vertices of `stride` (4, 8 … 256) bytes.
 fn vertices(stored: &[u8], count: usize, stride: usize) -> meshopt::Result<Vec<u8>> {
     fn decode<const WORDS: usize>(stored: &[u8], count: usize) -> meshopt::Result<Vec<u8>> {
         let vertices: Vec<Vertex<WORDS>> = decode_vertex_buffer(stored, count)?;
@@ -171,7 +171,7 @@ fn vertices(stored: &[u8], count: usize, stride: usize) -> meshopt::Result<Vec<u
         41 42 43 44 45 46 47 48 49 50 51 52 53 54 55 56 57 58 59 60 61 62 63 64)
 }
 
-/// Undoes a filter in place; `stride` is one that the filter has.
+/// Reverses a filter in place; `stride` is one that the filter supports.
 fn unfilter(bytes: &mut [u8], filter: &str, stride: usize) {
     let words = |bytes: &[u8]| -> Vec<[u16; 4]> {
         let rows = bytes.as_chunks::<8>().0.iter();

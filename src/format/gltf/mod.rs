@@ -1,5 +1,5 @@
-//! glTF 2.0: hybrid scenes as a core mesh and a `KHR_gaussian_splatting` primitive, tied together by
-//! `EXT_gaussian_splatting_hybrid`, whose schemas lie in `schema/`.
+//! glTF 2.0 reader and writer: hybrid scenes as a core mesh and a `KHR_gaussian_splatting` primitive, connected by
+//! `EXT_gaussian_splatting_hybrid`, whose schemas are in `schema/`.
 //!
 //! Any glTF viewer shows the meshes with an 8-bit unlit base colour and the splats as coloured points; a splat viewer
 //! shows the splats; Centaur reads back exactly what it wrote.
@@ -75,7 +75,7 @@ use super::error::Fault;
 use super::{FormatError, ReadOptions, SceneFile, has_extension};
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
-/// Whether what is written to a file of this name is glTF.
+/// Whether a file of this name is written as glTF.
 #[must_use]
 pub fn is_named(path: &Path) -> bool {
     has_extension(path, &["glb", "gltf"])
@@ -85,11 +85,11 @@ pub fn is_named(path: &Path) -> bool {
 /// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings). The scene is in the frame of captures, y down; below a root
 /// node of ours it is turned half about x.
 ///
-/// Scales and opacities are stored linear in f32, as `KHR_gaussian_splatting` demands: log-scales come back to 1e-6,
-/// opacities to 1e-7 (logits stay finite). Everything else that is optimised comes back bit for bit.
+/// Scales and opacities are stored linearly in f32, as `KHR_gaussian_splatting` requires: log-scales are recovered to
+/// 1e-6, opacities to 1e-7 (logits stay finite). All other optimised values are recovered bit for bit.
 ///
 /// # Errors
-/// If the file cannot be written, or would exceed the 4 GiB that the container can address, or the composition is not valid.
+/// If the file cannot be written, would exceed the container's limit of 4 GiB, or the composition is not valid.
 pub fn write_glb(
     path: &Path,
     scene: &HybridScene,
@@ -105,7 +105,7 @@ pub fn write_glb(
 /// ([`Source::stands`]), else what of it concerns the file as a whole, with this record in place of its own. Also returns which of both.
 ///
 /// # Errors
-/// As [`write_glb`].
+/// Those of [`write_glb`].
 pub(super) fn write_over(
     path: &Path,
     scene: &HybridScene,
@@ -146,11 +146,11 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     read_with(path, &ReadOptions::default())
 }
 
-/// As [`read`]; keeps the document for [`super::write_scene`] on demand, its buffers where they are in the file, and poses the
-/// scene.
+/// Same as [`read`], with options: keeps the document for [`super::write_scene`], leaving its buffers in the file, and
+/// poses the scene.
 ///
 /// # Errors
-/// As [`read`].
+/// Those of [`read`].
 pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     read_as_stored(path, options)?.in_capture_frame().map_err(|fault| fault.in_file(path))
 }
@@ -175,7 +175,7 @@ fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, F
         }
         let posed = moving.scene(&file.scene, DMat4::IDENTITY, time);
         file.scene = posed.map_err(|e| located(e.into()))?;
-        // What is posed does not move, and is not what the document says.
+        // A posed scene is static, and no longer matches its document.
         keep &= moving.is_still();
         moving = moving.stopped(time);
     }
@@ -186,7 +186,7 @@ fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, F
     Ok(SceneFile { record: source.extras().cloned(), source: Some(source), ..file })
 }
 
-/// Reads cameras alone, those that are animated frame by frame.
+/// Reads the cameras only, animated ones frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let asset = Asset::open(path)?;
     asset.check_version().map_err(|fault| fault.in_file(path))?;
@@ -195,7 +195,7 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<Camer
     motion::cameras(&asset.document, &motion, sampling).map_err(|fault| fault.in_file(path))
 }
 
-/// Writes cameras as one that moves, in a document of the capture's frame.
+/// Writes cameras as one animated camera, in a document in the capture's frame.
 pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
     let composition = Composition::default();
     let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
@@ -204,7 +204,7 @@ pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, Fo
     container::write(path, document, &bin)
 }
 
-/// Writes the document of a glTF again, with cameras added as one that moves, in the place of those that were added before.
+/// Writes the document of a glTF again with an added animated camera, which replaces previously added ones.
 pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
     let file = read_as_stored(scene, &ReadOptions { keep_document: true, ..ReadOptions::default() })?;
     let Some(source) = &file.source else {

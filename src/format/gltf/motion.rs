@@ -1,4 +1,4 @@
-//! Animations: what they make of nodes and of the weights of morph targets at a time, and the cameras that they move.
+//! Evaluation of animations at a time: transforms of nodes, weights of morph targets, and animated cameras.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -19,13 +19,13 @@ use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, Sampling, c
 use crate::format::error::Fault;
 use crate::scene::{Camera, frame::HALF_TURN};
 
-/// Names of animations that an error lists.
+/// Most names of animations that an error lists.
 const MOST_NAMES: usize = 8;
 
-/// Transforms of nodes that are evaluated for cameras: some seconds.
+/// Upper bound on node transforms evaluated for cameras, some seconds of work.
 const MOST_STEPS: usize = 1 << 27;
 
-/// The cameras of a document.
+/// Cameras of a document.
 pub(super) fn cameras(
     document: &gltf::Document,
     motion: &Motion,
@@ -43,7 +43,7 @@ pub(super) fn cameras(
     let is_ours = is_ours(document);
     let frame = if is_ours { HALF_TURN } else { DMat4::IDENTITY };
     let (mut found, mut notes, mut taken) = (vec![], vec![], Frames::default());
-    // First and last key of what moves a node, by itself or by one above; parents come before their children.
+    // First and last key of the animations of a node or its ancestors; parents precede their children.
     let mut ranges: HashMap<usize, (f64, f64)> = HashMap::new();
     let mut steps = 0;
     for (node, transform) in &placed {
@@ -67,7 +67,7 @@ pub(super) fn cameras(
             continue;
         };
         let count = taken.take(start, end, fps).map_err(|fault| fault.under(&at))?;
-        // From the node upwards.
+        // Node and its ancestors, upwards.
         let chain: Vec<usize> = std::iter::successors(Some(index), |child| parents.get(child).copied()).collect();
         steps += count * chain.len();
         if steps > MOST_STEPS {
@@ -94,30 +94,30 @@ pub(super) fn cameras(
     chosen(found, sampling, !is_ours, notes).map_err(|fault| fault.under("/cameras"))
 }
 
-/// What moves nodes and weighs their morph targets.
+/// Animation of nodes and of their morph-target weights.
 #[derive(Clone, Debug, Default)]
 pub(in crate::format) struct Motion {
     tracks: HashMap<(usize, Part), Track>,
-    /// Frames a second, if the file is ours.
+    /// Frames per second, if Centaur wrote the file.
     fps: Option<f64>,
-    /// What there is to be played, in order.
+    /// Animations that can be played, in order.
     clips: Vec<Clip>,
-    /// What is wrong with channels that are not among the tracks.
+    /// Faults of channels that are not among the tracks.
     faults: Vec<Fault>,
     /// How many animations move what one before them moves, too.
     overruled: usize,
-    /// How many animations were not asked for.
+    /// Number of animations that were not selected.
     left_out: usize,
 }
 
-/// An animation of a document.
+/// Animation of a document.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Clip {
-    /// Its name.
+    /// Name of the animation.
     pub name: Option<String>,
-    /// Its first key and its last, in seconds.
+    /// First and last key time, in seconds.
     pub range: [f64; 2],
-    /// How many properties of nodes it moves.
+    /// Number of node properties that it animates.
     pub channels: usize,
 }
 
@@ -129,19 +129,20 @@ enum Part {
     Weights,
 }
 
-/// Keys of one of these. Channels share what accessors hold.
+/// Keys of one animated property. Channels share the content of accessors.
 #[derive(Clone, Debug)]
 struct Track {
-    /// Seconds, growing; at least one.
+    /// Key times in seconds, increasing; at least one.
     times: Arc<[f32]>,
-    /// `width` numbers a key, or three times as many: tangent before it, value, tangent after it.
+    /// Values: `width` numbers per key, or three times as many: in-tangent, value, out-tangent.
     values: Arc<[f32]>,
     width: usize,
     interpolation: Interpolation,
 }
 
 impl Motion {
-    /// Of the animations of these names, or numbers where no name is meant; of all if there are none. As [`Motion::read`].
+    /// Animations selected by name, or by index where no name matches; all if `animations` is empty. Otherwise same as
+    /// [`Motion::read`].
     pub(super) fn chosen(asset: &Asset, animations: &[String]) -> Result<Self, Fault> {
         if animations.is_empty() {
             return Ok(Self::read(asset, |_| true));
@@ -169,8 +170,8 @@ impl Motion {
         Ok(motion)
     }
 
-    /// Of these animations together, by number; of channels that move the same, the first. Those that are malformed are left out,
-    /// see [`Motion::check`].
+    /// Reads the animations selected by index and combines them; if several channels animate the same property, the
+    /// first counts. Malformed channels are left out, see [`Motion::check`].
     pub(super) fn read(asset: &Asset, wants: impl Fn(usize) -> bool) -> Self {
         let mut motion = Self::default();
         let mut arrays = Arrays { asset, times: HashMap::new(), values: HashMap::new() };
@@ -201,7 +202,7 @@ impl Motion {
         motion
     }
 
-    /// Error if anything is wrong with an animation: what is asked for at a time cannot be told.
+    /// Checks the animations; with a faulty one, the state at a time is undetermined.
     pub(super) fn check(&self) -> Result<(), Fault> {
         self.faults.first().map_or(Ok(()), |fault| Err(fault.clone()))
     }
@@ -234,7 +235,7 @@ impl Motion {
         &self.clips
     }
 
-    /// First and last key of what moves a node itself; `None` if nothing does.
+    /// First and last key of a node's own animation; `None` if it has none.
     fn range(&self, node: usize) -> Option<(f64, f64)> {
         let tracks = TRANSFORM.into_iter().filter_map(|part| self.tracks.get(&(node, part)));
         tracks.map(Track::range).map(|[a, b]| (a, b)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
@@ -257,7 +258,7 @@ impl Motion {
         Some(weight as f32)
     }
 
-    /// Where a node puts what is in it, at a time.
+    /// Local transform of a node at a time.
     pub(super) fn local(&self, node: &gltf::Node<'_>, time: f64) -> DMat4 {
         let [translation, rotation, scale] = TRANSFORM.map(|part| self.tracks.get(&(node.index(), part)));
         if translation.is_none() && rotation.is_none() && scale.is_none() {
@@ -272,13 +273,13 @@ impl Motion {
     }
 }
 
-/// What places a node.
+/// Parts of a node's transform.
 const TRANSFORM: [Part; 3] = [Part::Translation, Part::Rotation, Part::Scale];
 
-/// The key that counts from a time on, of `count` that grow, and how far the time is on the way to the next: 0 up to 1. The first
-/// and the last are held before and after.
+/// Index of the last key at or before a time, among `count` increasing keys, and the fraction of the way to the next
+/// key, in [0, 1). The first key is held before its time, the last after.
 pub(super) fn in_between(count: usize, key: impl Fn(usize) -> f64, time: f64) -> (usize, f64) {
-    // Keys are of single precision: a time as near to one as that can tell is that of the key.
+    // Keys have single precision: a time that rounds to a key's counts as equal.
     let is_at = |i: usize| (key(i) - time).abs() <= 2.5e-7 * time.abs();
     let (mut low, mut high) = (0, count);
     while low < high {
@@ -299,23 +300,23 @@ pub(super) fn in_between(count: usize, key: impl Fn(usize) -> f64, time: f64) ->
     (start, (time - key(start)) / (key(low) - key(start)))
 }
 
-/// What channels refer to, each read once.
+/// Accessors used by channels, each read once.
 struct Arrays<'a> {
     asset: &'a Asset,
     times: HashMap<usize, Arc<[f32]>>,
-    /// By accessor and components of its elements.
+    /// Values by accessor and number of components.
     values: HashMap<(usize, usize), Arc<[f32]>>,
 }
 
 impl Arrays<'_> {
-    /// What a channel moves, and by what.
+    /// Animated property of a channel, and its track.
     fn track(
         &mut self,
         animation: &gltf::json::Animation,
         channel: &gltf::json::animation::Channel,
         at: &str,
     ) -> Result<((usize, Part), Track), Fault> {
-        // Asset::open has looked at these, and the crate.
+        // Checked already by `Asset::open` and by the crate.
         let (which, samplers) = (channel.sampler.value(), &animation.samplers);
         let sampler = samplers.get(which).ok_or_else(|| {
             Fault::pointer(format!("{at}/sampler"), format!("a sampler below {}", samplers.len()), which.to_string())
@@ -328,7 +329,7 @@ impl Arrays<'_> {
         let (Checked::Valid(path), Checked::Valid(interpolation)) = (channel.target.path, sampler.interpolation) else {
             return Err(Fault::pointer(at, "a path and an interpolation of glTF 2.0", "another"));
         };
-        // All primitives of a mesh have as many targets (glTF 2.0, 3.7.2.2).
+        // All primitives of a mesh have the same number of targets (glTF 2.0, 3.7.2.2).
         let targets = || node.mesh().and_then(|m| m.primitives().next()).map_or(0, |p| p.morph_targets().len());
         let (part, width) = match path {
             Property::Translation => (Part::Translation, 3),
@@ -397,12 +398,13 @@ impl Track {
         in_between(self.times.len(), |i| f64::from(self.times[i]), time)
     }
 
-    /// `N` numbers from `first` on of row `i`.
+    /// `N` numbers of row `i`, starting at column `first`.
     fn row<const N: usize>(&self, i: usize, first: usize) -> [f64; N] {
         std::array::from_fn(|c| f64::from(self.values[i * self.width + first + c]))
     }
 
-    /// `N` numbers from `first` on, at a time. Those of the first key are held before it, those of the last after it.
+    /// Interpolates `N` numbers, starting at column `first`, at a time. The first key's are held before it, the last
+    /// key's after it.
     fn at<const N: usize>(&self, time: f64, first: usize) -> [f64; N] {
         let row = |i: usize| self.row::<N>(i, first);
         let is_cubic = self.interpolation == Interpolation::CubicSpline;

@@ -1,4 +1,4 @@
-//! What of a document is played: animations, the rig of the scene that they move, and cameras.
+//! Animated content of a document: animations, the rig of the scene that they drive, and cameras.
 
 use glam::DMat4;
 
@@ -11,14 +11,14 @@ use crate::format::error::Fault;
 use crate::scene::rig::{Pose, Rig};
 use crate::scene::{HybridScene, SceneError};
 
-/// What moves a scene and its cameras.
+/// Animation of a scene and its cameras.
 #[derive(Clone, Debug)]
 pub(in crate::format) struct Moving {
     document: gltf::Document,
     motion: Motion,
-    /// Bones and weights of the rig by nodes; `None` if nothing but cameras moves.
+    /// Bones and weights of the rig, evaluated from nodes; `None` if only cameras are animated.
     rig: Option<(Poses, Rig)>,
-    /// The time at which all of it has been stopped.
+    /// Time in seconds at which the animation has been frozen, if any.
     stopped: Option<f64>,
 }
 
@@ -27,12 +27,12 @@ impl Moving {
         Self { document, motion, rig, stopped: None }
     }
 
-    /// Whether there is nothing to be played.
+    /// Whether nothing is animated.
     pub(in crate::format) fn is_still(&self) -> bool {
         self.rig.is_none() && self.clips().is_empty()
     }
 
-    /// The same with everything where it is at a time, in seconds, whenever it is looked at.
+    /// Freezes the animation at a time, in seconds.
     pub(super) fn stopped(self, time: f64) -> Self {
         Self { rig: None, stopped: Some(time), ..self }
     }
@@ -41,31 +41,31 @@ impl Moving {
         self.rig.as_ref().map(|(_, rig)| rig)
     }
 
-    /// Bones and weights of the rig at a time, in seconds.
+    /// Evaluates the bones and weights of the rig at a time, in seconds.
     pub(in crate::format) fn pose(&self, time: f64) -> Result<Pose, SceneError> {
         let Some((poses, _)) = &self.rig else { return Ok(Pose::default()) };
         let pose = self.motion.check().and_then(|()| poses.at(&self.document, &self.motion, time));
         pose.map_err(|fault| at_time(fault, time))
     }
 
-    /// The scene at a time; `rest` is as it was read, and then moved by `moved`.
+    /// Evaluates the scene at a time, in seconds; `rest` is the scene as read, transformed by `moved`.
     pub(super) fn scene(&self, rest: &HybridScene, moved: DMat4, time: f64) -> Result<HybridScene, SceneError> {
         let Some((_, rig)) = &self.rig else { return Ok(rest.clone()) };
         let posed = rig.pose(rest, &self.pose(time)?, moved);
         posed.map_err(|e| SceneError { field: format!("at {time} s: {}", e.field), ..e })
     }
 
-    /// Error if anything is wrong with an animation.
+    /// Checks the animations; an error if one is faulty.
     pub(in crate::format) fn check(&self) -> Result<(), Fault> {
         self.motion.check()
     }
 
-    /// How many nodes the document has, which are placed for every pose.
+    /// Number of nodes of the document, all of which are placed for every pose.
     pub(in crate::format) fn nodes(&self) -> usize {
         self.document.nodes().len()
     }
 
-    /// The cameras, those that move frame by frame.
+    /// Cameras, animated ones frame by frame.
     pub(in crate::format) fn cameras(&self, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
         self.motion.check()?;
         motion::cameras(&self.document, &self.motion, &Sampling { time: self.stopped.or(sampling.time), ..*sampling })
@@ -79,12 +79,12 @@ impl Moving {
         Ok((camera::all(&self.document, &placed, &mut notes), notes))
     }
 
-    /// Per bone, the joint of the same skin that is next above it.
+    /// Per bone, the nearest ancestor joint of the same skin.
     pub(in crate::format) fn bone_parents(&self) -> Vec<Option<usize>> {
         self.poses().map_or_else(Vec::new, Poses::parents)
     }
 
-    /// Where a joint of a skin is in the space of the surface; `None` of other bones.
+    /// Bind transform of a skin's joint in the space of the surface; `None` for other bones.
     pub(in crate::format) fn bind(&self, bone: usize) -> Option<DMat4> {
         self.poses()?.bind(bone)
     }
@@ -93,7 +93,7 @@ impl Moving {
         self.rig.as_ref().map(|(poses, _)| poses)
     }
 
-    /// Frames a second, if the document states them.
+    /// Frames per second, if the document states them.
     pub(in crate::format) fn fps(&self) -> Option<f64> {
         self.motion.fps()
     }

@@ -1,17 +1,17 @@
-//! What reading has to say.
+//! Notes collected while reading.
 
 use std::collections::HashMap;
 
-/// Notes in the order in which they came up, each once, with how often it did. Primitives of a mesh at many nodes would otherwise say the
-/// same as often as a small file likes.
+/// Notes in order of first occurrence, each once, with its count. Otherwise primitives of a mesh used by many nodes
+/// would repeat a note as often as a small file can make them.
 #[derive(Default)]
 pub(super) struct Notes {
-    /// When each first came up, and how often.
+    /// Order of first occurrence, and count, per note.
     counts: HashMap<String, (usize, usize)>,
 }
 
 impl Notes {
-    /// Takes in all of `notes`, and leaves none.
+    /// Moves all of `notes` into the collection.
     pub(super) fn take(&mut self, notes: &mut Vec<String>) {
         for note in notes.drain(..) {
             let next = self.counts.len();

@@ -1,6 +1,6 @@
-//! Poses of a document: bones and weights that its surfaces and splats hang on, as they rest and at a time. As they rest,
-//! skins are posed by their joints' own transforms, morph targets by their default weights: what viewers show before an
-//! animation starts, and what the static scene is made of.
+//! Poses of a document: the bones and weights that its surfaces and splats follow, at rest and at a time. At rest,
+//! skins are posed by their joints' own transforms and morph targets by their default weights: the state that viewers
+//! show before an animation starts, and from which the static scene is made.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -15,18 +15,18 @@ use crate::format::cameras::short;
 use crate::format::error::{Fault, from_value};
 use crate::scene::rig::{Anchor, AttachedSplats, Binding, MorphTarget, Pose, RestSurface, ShFrame, Skinning};
 
-/// All bones and weights that have been asked for.
+/// Bones and weights requested so far.
 #[derive(Clone, Debug)]
 pub(in crate::format) struct Poses {
     bones: Vec<Bone>,
     weights: Vec<Weight>,
     of_node: HashMap<usize, usize>,
     of_skin: HashMap<usize, Vec<usize>>,
-    /// Nodes of the scene where they rest.
+    /// Global transforms of the scene's nodes at rest.
     global: HashMap<usize, DMat4>,
-    /// The node above a node of the scene.
+    /// Parent of each node of the scene.
     above: HashMap<usize, usize>,
-    /// Nodes that an animation moves, by themselves or by one above.
+    /// Nodes moved by an animation of themselves or of an ancestor.
     moving: HashSet<usize>,
     rest: Pose,
 }
@@ -38,7 +38,7 @@ enum Bone {
         node: usize,
         inverse_bind: DMat4,
     },
-    /// A copy of what a node shows, which is `local` in its space.
+    /// Instance of a node's content, with transform `local` in the node's space.
     Copy {
         node: usize,
         local: DMat4,
@@ -47,9 +47,9 @@ enum Bone {
 
 #[derive(Clone, Debug)]
 enum Weight {
-    /// Of a node's morph target; what it is where nothing animates it.
+    /// Weight of a node's morph target, and its value when not animated.
     Target { node: usize, target: usize, rest: f32 },
-    /// Of the translations of the extension at one of its key times.
+    /// Weight of one key of the extension's vertex translations.
     Key { times: Arc<[f32]>, key: usize, is_step: bool },
 }
 
@@ -61,7 +61,7 @@ impl Bone {
     }
 }
 
-/// Which of some things are kept.
+/// Flags of the elements to be kept.
 struct Kept(Vec<bool>);
 
 impl Kept {
@@ -78,7 +78,7 @@ impl Kept {
         things.retain(|_| kept.next() == Some(&true));
     }
 
-    /// New numbers of those that are kept.
+    /// New indices of the kept elements.
     fn numbers(&self) -> Vec<usize> {
         let mut next = 0;
         let number = |&kept: &bool| {
@@ -90,10 +90,10 @@ impl Kept {
 }
 
 impl Poses {
-    /// Of all nodes of the scene, visible or not.
+    /// Creates the poses for all nodes of the scene, visible or not.
     pub(in crate::format) fn new(document: &gltf::Document, motion: &Motion) -> Result<Self, Fault> {
         let (mut global, mut above, mut moving) = (HashMap::new(), HashMap::new(), HashSet::new());
-        // Parents come before their children.
+        // Parents precede their children.
         for Placed { node, transform, .. } in all_placements_by(document, local)? {
             let index = node.index();
             global.insert(index, transform);
@@ -114,12 +114,12 @@ impl Poses {
         })
     }
 
-    /// The pose of what has been asked for where it rests.
+    /// Rest pose of the requested bones and weights.
     pub(in crate::format) fn rest(&self) -> &Pose {
         &self.rest
     }
 
-    /// The pose at a time, in seconds.
+    /// Pose at a time, in seconds.
     pub(super) fn at(&self, document: &gltf::Document, motion: &Motion, time: f64) -> Result<Pose, Fault> {
         let placed = all_placements_by(document, |node| motion.local(node, time))?;
         let global: HashMap<usize, DMat4> = placed.into_iter().map(|p| (p.node.index(), p.transform)).collect();
@@ -136,14 +136,14 @@ impl Poses {
         Ok(Pose { bones: bones.collect(), weights: weights.collect() })
     }
 
-    /// What bones are called: as the nodes that they are, cut where that is long: a skin may name one node many times.
+    /// Names of bones: those of their nodes, cut if long, because a skin may contain a node many times.
     pub(super) fn names(&self, document: &gltf::Document) -> Vec<String> {
         let named: HashMap<usize, &str> = document.nodes().filter_map(|n| Some((n.index(), n.name()?))).collect();
         let of = |node: usize| named.get(&node).map_or_else(|| format!("node {node}"), |name| short(name));
         self.bones.iter().map(|bone| of(bone.node())).collect()
     }
 
-    /// First and last key of what moves without an animation.
+    /// First and last key times of vertex translations, which need no animation.
     pub(super) fn ranges(&self) -> impl Iterator<Item = [f64; 2]> {
         self.weights.iter().filter_map(|weight| match weight {
             Weight::Key { times, .. } => Some([*times.first()?, *times.last()?].map(f64::from)),
@@ -151,7 +151,7 @@ impl Poses {
         })
     }
 
-    /// Where a joint is in the space of what it carries.
+    /// Bind transform of a joint, in the space of the surface.
     pub(super) fn bind(&self, bone: usize) -> Option<DMat4> {
         match self.bones.get(bone)? {
             Bone::Joint { inverse_bind, .. } => Some(inverse_bind.inverse()).filter(DMat4::is_finite),
@@ -159,7 +159,7 @@ impl Poses {
         }
     }
 
-    /// Of every joint of a skin the joint of it that is next above.
+    /// Per bone, for joints of a skin, the nearest ancestor joint of that skin.
     pub(super) fn parents(&self) -> Vec<Option<usize>> {
         let mut parents = vec![None; self.bones.len()];
         for bones in self.of_skin.values() {
@@ -173,7 +173,8 @@ impl Poses {
         parents
     }
 
-    /// Leaves only what these hang on, by new numbers; of skins all joints, so that they stay whole.
+    /// Removes bones and weights that neither the surfaces nor the splats use, and renumbers the rest; skins keep all
+    /// their joints.
     pub(super) fn compact(&mut self, rest_surfaces: &mut [Option<RestSurface>], attached: &mut [AttachedSplats]) {
         let (mut bones, mut weights) = (Kept::none_of(self.bones.len()), Kept::none_of(self.weights.len()));
         for rest_surface in rest_surfaces.iter().flatten() {
@@ -215,12 +216,12 @@ impl Poses {
         }
     }
 
-    /// Whether an animation moves a node.
+    /// Whether a node is animated, by itself or through an ancestor.
     pub(super) fn moves(&self, node: usize) -> bool {
         self.moving.contains(&node)
     }
 
-    /// Whether an animation moves a surface.
+    /// Whether a surface is animated.
     pub(super) fn animates(&self, rest_surface: &RestSurface, motion: &Motion) -> bool {
         let moves = |bone: usize| self.moves(self.bones[bone].node());
         let is_skinned = match &rest_surface.skinning {
@@ -237,7 +238,7 @@ impl Poses {
             })
     }
 
-    /// The bone that a node is.
+    /// Bone of a node, added if necessary.
     pub(super) fn bone(&mut self, node: usize) -> usize {
         if let Some(&bone) = self.of_node.get(&node) {
             return bone;
@@ -247,7 +248,7 @@ impl Poses {
         bone
     }
 
-    /// The bone that a copy at a node is, where it is `local` in the space of that.
+    /// Adds the bone of an instance at a node, with transform `local` in the node's space.
     pub(super) fn copy(&mut self, node: usize, local: DMat4) -> usize {
         let global = self.global.get(&node).copied().unwrap_or_default();
         self.add_bone(Bone::Copy { node, local }, global * local)
@@ -265,7 +266,7 @@ impl Poses {
         self.weights.len() - 1
     }
 
-    /// `primitive`, of the mesh of `node`, whose vertices are `stored`, before it is posed.
+    /// Surface of `primitive` of the mesh of `node` before posing, with vertices `stored`.
     pub(super) fn rest_surface(
         &mut self,
         (asset, motion): (&Asset, &Motion),
@@ -290,7 +291,7 @@ impl Poses {
         for (i, target) in primitive.morph_targets().enumerate() {
             let rest = weights.get(i).copied().unwrap_or(0.0);
             let Some(accessor) = target.positions() else { continue };
-            // What nothing ever weighs need not be held.
+            // Targets whose weight is always zero need not be stored.
             if rest == 0.0 && !motion.has_weights(node.index()) {
                 continue;
             }
@@ -306,7 +307,7 @@ impl Poses {
         Ok(RestSurface { base: stored, targets, skinning })
     }
 
-    /// The extension's vertex positions over time, as a morph target per key.
+    /// Vertex translations over time of the extension, as one morph target per key.
     fn translations(
         &mut self,
         asset: &Asset,
@@ -334,7 +335,7 @@ impl Poses {
         Ok(keys.collect())
     }
 
-    /// The bones that the joints of a skin are.
+    /// Bones of a skin's joints.
     fn joints(&mut self, asset: &Asset, skin: &gltf::Skin<'_>) -> Result<Vec<usize>, Fault> {
         if let Some(known) = self.of_skin.get(&skin.index()) {
             return Ok(known.clone());
@@ -363,7 +364,7 @@ impl Poses {
     }
 }
 
-/// How much the translations of a key count at a time.
+/// Weight of a key's translations at a time.
 fn weight_of_key(times: &[f32], key: usize, is_step: bool, time: f64) -> f32 {
     let (start, u) = in_between(times.len(), |i| f64::from(times[i]), time);
     let u = if is_step { 0.0 } else { u };
@@ -374,10 +375,11 @@ fn weight_of_key(times: &[f32], key: usize, is_step: bool, time: f64) -> f32 {
     }
 }
 
-/// Sets of joints that are read: 32 a vertex.
+/// Upper bound on joint sets that are read: 32 joints per vertex.
 const MAX_SETS: usize = 8;
 
-/// All sets `JOINTS_n`, `WEIGHTS_n` of a primitive. A vertex without weight follows its first joint, with a note.
+/// Joints and weights of all sets `JOINTS_n`, `WEIGHTS_n` of a primitive. A vertex without weights follows its first
+/// joint, with a note.
 fn skin_of(
     asset: &Asset,
     bones: &[usize],
@@ -412,7 +414,7 @@ fn skin_of(
         let mut total = 0.0;
         for (n, (joints, weights)) in sets.iter().enumerate() {
             for (&joint, &weight) in joints[v].iter().zip(&weights[v]) {
-                // What a joint without weight is called does not matter.
+                // Indices of joints with zero weight need not be valid.
                 let bone = match bones.get(joint as usize) {
                     Some(&bone) => bone,
                     None if weight == 0.0 => bones.first().copied().unwrap_or_default(),

@@ -1,4 +1,4 @@
-//! From an opened asset to a hybrid scene.
+//! Conversion of an opened asset to a hybrid scene.
 
 use std::ops::Range;
 
@@ -23,7 +23,7 @@ use crate::format::placed::join;
 use crate::scene::rig::{Anchor, AttachedSplats, Rig};
 use crate::scene::{ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
-/// A scene as it rests.
+/// Scene in the rest pose.
 pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
     scene_and_motion(asset, &[]).map(|(file, _)| file)
 }
@@ -59,7 +59,7 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
                     Some(copies) => copies.iter().map(|local| *transform * *local).collect(),
                     None => vec![*transform],
                 };
-                // The last of them is what has been read.
+                // The last instance takes the splats that were read, without a copy.
                 for (stored, transform) in std::iter::repeat_n(stored, transforms.len()).zip(transforms) {
                     let part = stored.placed((node.index(), transform))?;
                     asset.spend(bytes_of(&part), &at_node)?;
@@ -116,13 +116,13 @@ struct Hung<'a> {
     splats: Range<usize>,
     node: usize,
     transform: DMat4,
-    /// Of mesh, in mesh, and its `KHR_gaussian_splatting`.
+    /// Primitive (mesh, index in the mesh), and its `KHR_gaussian_splatting`.
     id: (usize, usize),
     khr: &'a Value,
 }
 
 impl Hung<'_> {
-    /// What they follow; `None` if they keep still.
+    /// Attachment of the splats; `None` if they are static.
     fn follows(
         self,
         asset: &Asset,
@@ -141,7 +141,7 @@ impl Hung<'_> {
                 let BindingObject { node, primitive, .. } = object;
                 format!("expected triangles at node {node}, primitive {primitive}, of mode 4, found none in the scene")
             });
-            // Also where nothing of it moves: a fault is to be told.
+            // Read even for static content, so that faults are reported.
             match bound.and_then(|to| {
                 let binding = binding::read(asset, object, splats.len(), to, read.poses.bone(node), transform)?;
                 Ok((to.moves || moves).then_some(binding))
@@ -156,7 +156,7 @@ impl Hung<'_> {
     }
 }
 
-/// Bytes that a part takes besides its splats: what it is called, where it is, what it hangs on.
+/// Bytes of a part besides its splats: its name, transform and attachment.
 const BYTES_OF_PART: u64 = 512;
 
 fn bytes_of(part: &SplatArrays) -> u64 {
@@ -165,13 +165,13 @@ fn bytes_of(part: &SplatArrays) -> u64 {
 
 /// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras otherwise.
 fn least_near(document: &gltf::Document) -> f32 {
-    // As JSON: the crate panics where what `type` names is not there.
+    // Read from JSON, because the crate panics if the object named by `type` is missing.
     let perspectives = document.as_json().cameras.iter().filter_map(|camera| camera.perspective.as_ref());
     let nears = perspectives.map(|p| p.znear).filter(|znear| *znear > 0.0 && znear.is_finite());
     nears.reduce(f32::min).unwrap_or(Composition::default().near)
 }
 
-/// What is to be said of nodes that are not, or not usually, in the scene.
+/// Notes on nodes that are not in the scene, or only by assumption.
 pub(in crate::format) fn not_placed(asset: &Asset) -> Result<Vec<String>, Fault> {
     let mut notes = vec![];
     if asset.document.nodes().len() > 0 && !has_scenes(&asset.root) {
@@ -186,7 +186,8 @@ pub(in crate::format) fn not_placed(asset: &Asset) -> Result<Vec<String>, Fault>
     Ok(notes)
 }
 
-/// The scene's contract, and true; without one, defaults in the colour space of the first splat primitive.
+/// Composition stated by the scene, with true; otherwise defaults in the colour space of the first splat primitive,
+/// with false.
 fn composition(asset: &Asset, notes: &mut Vec<String>) -> Result<(Composition, bool), Fault> {
     let document = &asset.document;
     if let Some(scene) = document.default_scene().or_else(|| document.scenes().next())

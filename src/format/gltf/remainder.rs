@@ -1,4 +1,4 @@
-//! What of a document a scene does not hold, in words.
+//! Parts of a document that a scene does not hold, in words.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -11,28 +11,28 @@ use super::extension::{
 };
 use super::{instancing, meshopt};
 
-/// The extension by which animations move what is no node.
+/// Extension for animations of properties other than those of nodes.
 const ANIMATION_POINTER: &str = "KHR_animation_pointer";
 
-/// Something that a document has and a scene does not hold.
+/// Part of a document that a scene does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Remnant {
-    /// In words: `2 animations`.
+    /// Description: `2 animations`.
     pub what: String,
-    /// What it has to do with motion.
+    /// Relation of the part to animation.
     pub role: Role,
 }
 
-/// What something has to do with motion.
+/// Relation of a part to animation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// It moves what it finds: animations.
+    /// Animates something: animations.
     Moves,
-    /// It says how something follows: skins, morph targets, bindings.
+    /// Defines how something follows: skins, morph targets, bindings.
     Follows,
-    /// It is motion that is not played here: what animations move that is no node, deformation fields.
+    /// Animation that is not played here: of properties other than nodes', or by deformation fields.
     Unplayed,
-    /// Nothing.
+    /// Unrelated to animation.
     Rests,
 }
 
@@ -48,7 +48,7 @@ impl fmt::Display for Remnant {
     }
 }
 
-/// Everything that a scene written anew would lack. `is_ours`: whether its tree of nodes is the one we write.
+/// Everything that a scene written anew would lack. `is_ours`: whether Centaur wrote the tree of nodes.
 pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     let mut found = vec![];
     let mut count = |n: usize, what: &str, role: Role| {
@@ -65,7 +65,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     let is_orthographic = |c: &&Value| c.get("type").and_then(Value::as_str) == Some("orthographic");
     count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera", Role::Rests);
     let nodes = list("nodes");
-    // Nodes that were put above a scene to move it become part of its coordinates.
+    // Nodes inserted above a scene to transform it become part of its coordinates.
     let has_children =
         |n: &&Value| !items(n.get("children")).is_empty() && n.get("name").and_then(Value::as_str) != Some(MOVED_NODE);
     if nodes.iter().filter(has_children).count() > usize::from(is_ours) {
@@ -108,13 +108,13 @@ fn khr_extension(primitive: &Value, name: &str) -> bool {
     extension_of(primitive, KHR_SPLATS).is_some_and(|khr| extension_of(khr, name).is_some())
 }
 
-/// What a scene takes of a material, as `material::maps` does.
+/// Parts of a material that a scene takes, as in `material::maps`.
 struct Shown {
-    /// n of `TEXCOORD_n`.
+    /// Index n of `TEXCOORD_n`.
     set: u64,
-    /// Whether colours of vertices.
+    /// Whether vertex colours are used.
     colors: bool,
-    /// Whether what it emits in place of its base colour.
+    /// Whether emission is used in place of the base colour.
     emission: bool,
 }
 
@@ -127,7 +127,7 @@ impl Shown {
         }
         let (_, base) = base_of(material);
         if !is_shown_by_emission(material) {
-            // Colours of vertices that cannot be shown beside a picture are noted where they are read.
+            // Vertex colours that cannot be shown together with an image are noted where they are read.
             return Self { set: base.map_or(0, set_of), colors: true, emission: false };
         }
         let has_alpha = material.get("alphaMode").is_some_and(|mode| mode != "OPAQUE");
@@ -136,7 +136,8 @@ impl Shown {
     }
 }
 
-/// The texel source of coefficient 0, like which all of a material lie; `None` where the core material is shown in their place.
+/// Texel source of coefficient 0, whose UV mapping all sources of a material share; `None` if the core material is
+/// shown instead.
 fn first_source(radiance: &Value) -> Option<&Value> {
     let harmonics = radiance.get("sphericalHarmonics")?;
     let is_one_of = |token: Option<&Value>, known: [&str; 2]| {
@@ -147,13 +148,13 @@ fn first_source(radiance: &Value) -> Option<&Value> {
     harmonics.get("coefficients")?.get(0).filter(|_| is_known)
 }
 
-/// n of the `TEXCOORD_n` that a texture or a texel source takes.
+/// Index n of the `TEXCOORD_n` used by a texture or a texel source.
 fn set_of(texture: &Value) -> u64 {
     let moved = extension_of(texture, TEXTURE_TRANSFORM).and_then(|transform| transform.get("texCoord"));
     moved.or(texture.get("texCoord")).and_then(Value::as_u64).unwrap_or(0)
 }
 
-/// Factor and texture of what a material has as its base colour, see `material::Base`.
+/// Factor and texture of a material's base colour, see `material::Base`.
 fn base_of(material: &Value) -> (Option<&Value>, Option<&Value>) {
     match extension_of(material, SPECULAR_GLOSSINESS) {
         Some(own) => (own.get("diffuseFactor"), own.get("diffuseTexture")),
@@ -164,7 +165,8 @@ fn base_of(material: &Value) -> (Option<&Value>, Option<&Value>) {
     }
 }
 
-/// Whether a core material is black, or has no other picture than that of its emission.
+/// Whether a core material is shown by its emission: its base colour is black, or its only image is that of the
+/// emission.
 fn is_shown_by_emission(material: &Value) -> bool {
     let is_positive = |value: &Value| value.as_f64().is_some_and(|value| value > 0.0);
     let strength = extension_of(material, EMISSIVE_STRENGTH).and_then(|own| own.get("emissiveStrength"));
@@ -176,7 +178,7 @@ fn is_shown_by_emission(material: &Value) -> bool {
     emits && (is_black || is_only_picture) && extension_of(material, UNLIT).is_none()
 }
 
-/// Whether a material has textures of the core besides the one that is shown.
+/// Whether a material has core textures besides the one shown.
 fn has_other_textures(material: &Value) -> bool {
     let others = ["/normalTexture", "/occlusionTexture", "/pbrMetallicRoughness/metallicRoughnessTexture"];
     let is_specular =
@@ -189,7 +191,7 @@ fn has_other_textures(material: &Value) -> bool {
 fn other_attributes<'a>(primitive: &'a Value, shown: &Shown) -> Vec<&'a str> {
     let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return vec![] };
     let khr = extension_of(primitive, KHR_SPLATS);
-    // Read where the names of today are not there, and no SPZ stands for all.
+    // Draft names are read where the current ones are missing and no SPZ replaces the attributes.
     let of_draft = khr.is_some_and(is_draft) && !khr_extension(primitive, SPZ);
     let is_read = |name: &str| match name {
         DRAFT_ROTATION => of_draft && !attributes.contains_key(ROTATION),
@@ -203,24 +205,25 @@ fn other_attributes<'a>(primitive: &'a Value, shown: &Shown) -> Vec<&'a str> {
     attributes.keys().map(String::as_str).filter(|name| !is_read(name)).collect()
 }
 
-/// Whether splats are of an early draft of the extension: it stated neither of these.
+/// Whether splats follow an early draft of the extension, which had neither `kernel` nor `colorSpace`.
 fn is_draft(khr: &Value) -> bool {
     ["kernel", "colorSpace"].iter().all(|key| khr.get(key).is_none_or(Value::is_null))
 }
 
-/// Vertex attributes that a scene holds by value, whatever the material. Joints and weights are counted with the skins.
+/// Whether a scene holds the values of a vertex attribute, regardless of the material. Joints and weights are counted
+/// with the skins.
 fn is_held(name: &str) -> bool {
     let prefixes = ["JOINTS_", "WEIGHTS_", "KHR_gaussian_splatting:"];
     name == "POSITION" || prefixes.iter().any(|prefix| name.starts_with(prefix))
 }
 
-/// Extensions that are written anew, or that say in another way what a scene holds by value.
+/// Whether an extension is written anew, or encodes in another way data that a scene holds.
 fn is_taken_over(name: &str) -> bool {
     let known = [KHR_SPLATS, HYBRID, UNLIT, SPZ, TEXTURE_TRANSFORM, WEBP, SPECULAR_GLOSSINESS, "KHR_mesh_quantization"];
     known.contains(&name) || meshopt::NAMES.contains(&name)
 }
 
-/// Whether it has extras besides our own, which are written anew.
+/// Whether an object has extras besides our own, which are written anew.
 pub(super) fn has_extras(object: &Value) -> bool {
     match object.get("extras") {
         None => false,

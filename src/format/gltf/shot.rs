@@ -1,4 +1,4 @@
-//! A camera that moves, in a document.
+//! Animated cameras in a document.
 
 use std::collections::HashSet;
 
@@ -11,26 +11,27 @@ use super::write::{FLOAT, camera_and_node, node_rotation};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, NAME};
 use crate::scene::Camera;
 
-/// Where an animation of ours says how many frames it has a second.
+/// Key of an animation's frame rate in files that Centaur writes.
 pub(super) const FPS: &str = "framesPerSecond";
 
-/// Marks the nodes of these cameras, so that a later path takes their place.
+/// Key that marks the nodes of these cameras, so that a later path replaces them.
 const MARK: &str = "path";
 
-/// What such a node has besides its camera and mark.
+/// Properties of such a node besides its camera and mark.
 const OWN: [&str; 5] = ["name", "rotation", "translation", "scale", "matrix"];
 
-/// Whether a node is one of these.
+/// Whether a node carries this mark.
 pub(super) fn is_marked(node: &gltf::Node<'_>) -> bool {
     let extras = node.extras().as_ref().and_then(|extras| serde_json::from_str::<Value>(extras.get()).ok());
     extras.is_some_and(|extras| extras.get(EXTRAS).is_some_and(|ours| ours.get(MARK).is_some()))
 }
 
-/// Adds cameras at the top of the scene, in the place of those that were added so before: one with a linear animation whose keys are
-/// the frames, at their times; where intrinsics differ, which glTF does not animate, as many as there are. `shown` is in the frame of the document's
-/// scene, which is the capture's below a root node of ours. Bytes of a former path stay in the buffer.
+/// Adds cameras at the top of the scene, replacing those added before: one camera with a linear animation whose keys
+/// are the frames, at their times; or, where intrinsics differ, which glTF does not animate, one camera per frame.
+/// `shown` is in the frame of the document's scene, which is the capture's below a root node of ours. Bytes of a former
+/// path stay in the buffer.
 pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile, near: f32) {
-    // What is above our root node, or above a scene that was moved, has the axes of glTF.
+    // Nodes above our root node, or above a transformed scene, are in glTF's axes.
     let placed = shown.clone().in_frame(true).cameras;
     let Some((_, first)) = shown.cameras.first() else { return };
     let mut vacant = take_out(document).into_iter();
@@ -72,8 +73,9 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
     }
 }
 
-/// Takes a path of ours out of a document. Returns its nodes, which are empty and in no list, as others are known by their index. Those on
-/// which somebody has hung something stay where they rest, with that.
+/// Removes a path of ours from a document. Returns its nodes, emptied and removed from all lists but not deleted,
+/// because other nodes are referenced by index. Nodes to which another program has attached something stay, in their
+/// rest pose, with it.
 fn take_out(document: &mut Value) -> Vec<usize> {
     let of_ours = |object: &Value, key: &str| object.pointer(&format!("/extras/{EXTRAS}/{key}")).is_some();
     let camera_of = |node: &Value| node.get("camera").and_then(Value::as_u64);
@@ -101,7 +103,7 @@ fn take_out(document: &mut Value) -> Vec<usize> {
     for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
         items(document, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
     }
-    // Somebody may have put one of these into a node of their own.
+    // Cameras that another program uses in other nodes are kept.
     let used: HashSet<u64> = items(document, "nodes").iter().filter_map(camera_of).collect();
     cameras.retain(|camera| !used.contains(camera));
     cameras.sort_unstable();
@@ -112,7 +114,7 @@ fn take_out(document: &mut Value) -> Vec<usize> {
             node["camera"] = json!(camera - cameras.partition_point(|gone| *gone < camera) as u64);
         }
     }
-    // What another program made of the path moves nothing any more, and must not move the next one.
+    // Animations that another program derived from the path have lost their target, and must not move the next path.
     for animation in items(document, "animations") {
         let is_still = |index: &Value| index.as_u64().is_some_and(|i| still.contains(&i));
         retain(animation, "channels", |_, channel| !channel.pointer("/target/node").is_some_and(is_still));
@@ -121,12 +123,12 @@ fn take_out(document: &mut Value) -> Vec<usize> {
     nodes
 }
 
-/// The array of a key.
+/// Array under `key`.
 fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
     object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
 }
 
-/// Leaves what is wanted of the array of a key, by index and value, which may not be there if nothing is left.
+/// Keeps the wanted elements, by index and value, of the array under `key`; removes the array if it becomes empty.
 fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
     let Some(array) = object.get_mut(key).and_then(Value::as_array_mut) else { return };
     let (mut index, count) = (0.., array.len());
@@ -148,7 +150,7 @@ fn animation(
     let mut last = DQuat::IDENTITY;
     let rotations = cameras.iter().flat_map(|(_, camera)| {
         let q = node_rotation(camera);
-        // Programs that blend components need neighbours on the same side.
+        // Programs that interpolate by component need neighbouring quaternions in the same hemisphere.
         last = if q.dot(last) < 0.0 { -q } else { q };
         last.to_array().map(|v| v as f32)
     });
@@ -174,7 +176,7 @@ fn animation(
     json!({ "name": NAME, "channels": channels, "samplers": samplers, "extras": { EXTRAS: { FPS: fps } } })
 }
 
-/// Appends to the array of a key, which is made; returns the index.
+/// Appends to the array under `key`, created if missing; returns the index.
 fn push(object: &mut Value, key: &str, value: Value) -> usize {
     let array = &mut object[key];
     if !array.is_array() {

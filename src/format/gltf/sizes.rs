@@ -1,4 +1,4 @@
-//! Which bytes of a glTF file hold what.
+//! Breakdown of a glTF file's bytes by content.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -10,15 +10,16 @@ use super::extension::{HYBRID, INSTANCING, KHR_SPLATS, Radiance, SPZ, Surface, e
 use super::lift::Asset;
 use super::{meshopt, uri};
 
-/// Bytes of a glTF.
+/// Byte counts of a glTF.
 pub(in crate::format) struct Sizes {
-    /// Of the file, and of the buffers and images beside it, as far as they are there.
+    /// Total of the file, and of the existing buffers and images beside it.
     pub(in crate::format) total: u64,
-    /// The same by part: `json`, `splats`, `geometry`, `maps`, `animation`, `images`, `base64` (what embedding adds) and `other`.
+    /// Bytes by part: `json`, `splats`, `geometry`, `maps`, `animation`, `images`, `base64` (overhead of embedding) and
+    /// `other`.
     pub(in crate::format) parts: BTreeMap<&'static str, u64>,
 }
 
-/// Counted by accessor and image, of compressed views as they are stored; what two parts share counts for the first.
+/// Counts by accessor and image, compressed views as stored; bytes shared by two parts count for the first.
 pub(in crate::format) fn sizes(asset: &Asset, file_bytes: u64) -> Sizes {
     let left = asset.buffers.iter().map(|buffer| (buffer.place(), buffer.len() as u64)).collect();
     let mut count = Count { asset, parts: BTreeMap::new(), accessors: BTreeSet::new(), views: BTreeSet::new(), left };
@@ -74,7 +75,7 @@ pub(in crate::format) fn sizes(asset: &Asset, file_bytes: u64) -> Sizes {
     Sizes { total, parts }
 }
 
-/// Bytes of images outside buffers: of their data URIs, of what these hold, and of files, each once.
+/// Bytes of images outside buffers: data URIs, their decoded content, and files, each counted once.
 #[derive(Default)]
 struct Images {
     uris: u64,
@@ -98,11 +99,11 @@ impl Images {
 struct Count<'a> {
     asset: &'a Asset,
     parts: BTreeMap<&'static str, u64>,
-    /// Views and where in them.
+    /// Accessors already counted, by view and offset.
     accessors: BTreeSet<(usize, usize)>,
-    /// Those that are counted as a whole.
+    /// Views that are counted as a whole.
     views: BTreeSet<usize>,
-    /// What is not counted yet of buffers, by where they are: parts can overlap.
+    /// Bytes of buffers not counted yet, by place, because parts can overlap.
     left: HashMap<(usize, u64), u64>,
 }
 

@@ -1,4 +1,4 @@
-//! The document behind a scene, kept to be written again.
+//! The glTF document behind a scene, kept to be written again.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
@@ -24,23 +24,24 @@ use crate::format::error::{FormatError, one_line};
 use crate::format::placed::similarity;
 use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TURN};
 
-/// The glTF document that a scene was read from. A scene holds what is rendered; animations, skins, morph targets, lights,
-/// materials in full, names, extras and extensions that nobody here knows are in the document alone.
+/// The glTF document from which a scene was read. The scene holds what is rendered; animations, skins, morph targets,
+/// lights, full materials, names, extras and unknown extensions are in the document only.
 ///
-/// One rule: **it is written as it was, as long as the scene still is what it says.** Accessors then come back bit for bit.
+/// Principle: **the document is written unchanged as long as it still describes the scene.** Accessors are then
+/// preserved bit for bit.
 ///
-/// | what happens to the scene | what happens to the document |
+/// | change of the scene | effect on the document |
 /// |---|---|
-/// | nothing | it is written as it is, in one buffer |
-/// | moved, turned, scaled ([`Source::follow`]) | a node above it moves it |
-/// | another rule of blending | the rule is set in it, unless it has none and splats of several colour spaces, or splats and triangles in one mesh: with a rule no reader takes these, and it is dropped |
-/// | all cameras left out | they are taken out of it |
-/// | cropped, thinned, fewer harmonics, joined, mirrored, other cameras | it is dropped: the scene is written anew, and [`Source::remainder`] says what is not in it. Copyright and the extras of asset, document and scene go on |
+/// | none | written as it is, with one buffer |
+/// | translated, rotated, scaled ([`Source::follow`]) | gets a node above the scene with the transform |
+/// | another composition | the composition is set, unless the document has none and has splats of several colour spaces, or splats and triangles in one mesh: readers accept neither with a composition, so the document is dropped |
+/// | all cameras left out | cameras are removed |
+/// | cropped, thinned, fewer harmonics, joined, mirrored, other cameras | dropped: the scene is written anew, and [`Source::remainder`] lists what is lost. Copyright and the extras of asset, document and scene are kept |
 ///
-/// Whether the scene is still the same is measured, not believed: by fingerprints of its arrays.
+/// Equality with the scene as read is tested by fingerprints of its arrays.
 #[derive(Clone, Debug)]
 pub struct Source {
-    /// Without the `uri`s of buffers and of the images below.
+    /// JSON document without the `uri`s of buffers and of the images in `Content::images`.
     root: Value,
     content: Option<Content>,
     remainder: Vec<Remnant>,
@@ -54,18 +55,18 @@ pub struct Source {
     moving: Arc<Moving>,
 }
 
-/// The bytes that a document refers to.
+/// Binary data referenced by a document.
 #[derive(Clone, Debug)]
 struct Content {
     buffers: Vec<Buffer>,
-    /// Images outside buffers, by index; those of one file share it.
+    /// Images outside buffers, by index; images with the same file share the data.
     images: BTreeMap<usize, Arc<Vec<u8>>>,
-    /// `uri`s of those that are not there.
+    /// `uri`s of images that were not found.
     unfound: Vec<String>,
 }
 
 impl Source {
-    /// Takes the document of a scene that has just been read; with its bytes if it is to be written again.
+    /// Creates the source of a scene just read, including the binary data if the document is to be written again.
     pub(super) fn new(
         asset: Asset,
         scene: &HybridScene,
@@ -76,11 +77,11 @@ impl Source {
         let is_ours = is_ours(&asset.document);
         let remainder = remainder(&asset.root, is_ours);
         let Asset { mut root, buffers, folder, .. } = asset;
-        // It may be moved, and get a rule of blending.
+        // The document may later get a transform node and a composition, which need a scene object.
         give_scene(&mut root);
         let content = keep.then(|| {
             let (listed, mut loaded) = (root.get("images").and_then(Value::as_array), uri::Loaded::default());
-            // What cannot be found stays a reference.
+            // Images that cannot be found stay references.
             let (mut images, mut unfound) = (BTreeMap::new(), vec![]);
             let listed = listed.into_iter().flatten().enumerate();
             for (i, uri) in listed.filter_map(|(i, image)| Some((i, image.get("uri")?.as_str()?))) {
@@ -108,25 +109,25 @@ impl Source {
         }
     }
 
-    /// What [`super::write_glb`] was given as extras.
+    /// Extras that were given to [`super::write_glb`].
     #[must_use]
     pub fn extras(&self) -> Option<&Value> {
         self.root.pointer("/asset/extras")?.get(EXTRAS)
     }
 
-    /// Whether animations of the document move anything of the scene besides cameras.
+    /// Whether the document's animations affect anything besides cameras.
     #[must_use]
     pub fn moves(&self) -> bool {
         self.moving.rig().is_some()
     }
 
-    /// The animations of the document.
+    /// Animations of the document.
     #[must_use]
     pub fn clips(&self) -> &[Clip] {
         self.moving.clips()
     }
 
-    /// First and last key of all of them, in seconds.
+    /// First and last key time of all animations and deformations, in seconds.
     #[must_use]
     pub fn range(&self) -> [f64; 2] {
         self.moving.range()
@@ -149,37 +150,38 @@ impl Source {
     /// [`CameraFile::y_up`] tells and [`CameraFile::in_frame`] changes.
     ///
     /// # Errors
-    /// As there.
+    /// Those of [`crate::format::read_cameras`].
     pub fn cameras(&self, path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
         self.moving.cameras(sampling).map_err(|fault| fault.in_file(path))
     }
 
-    /// `scene`, which was read from this document, at a time in seconds, with all its animations played together: nodes,
-    /// skins, morph targets, and splats with the triangles or nodes that they hang on. What no animation has moved keeps its
-    /// bits.
+    /// Evaluates `scene`, which was read from this document, at a time in seconds with all its animations played
+    /// together: nodes, skins, morph targets, and splats with the triangles or nodes that they follow. Parts that no
+    /// animation moves keep their values bit for bit.
     ///
     /// # Errors
-    /// If the scene has been changed since in another way than [`Source::follow`] knows, or something of it is somewhere that
-    /// it cannot be shown at: a node that flattens splats, numbers that are not finite.
+    /// If the scene has been changed otherwise than by [`Source::follow`], or the pose is not representable: a node
+    /// that flattens splats, non-finite numbers.
     pub fn at(&self, scene: &HybridScene, time: f64) -> Result<HybridScene, SceneError> {
         self.moving.scene(scene, self.moved, time)
     }
 
-    /// What moves a scene, or its cameras, that still is what was read but for being moved, and by what it was moved.
+    /// Animation of `scene` or of its cameras, and the transform applied since reading; `None` if the scene has changed
+    /// otherwise.
     pub(in crate::format) fn moving(&self, scene: &HybridScene) -> Option<(&Moving, DMat4)> {
         let holds =
             !self.moving.is_still() && similarity(self.moved).is_some() && self.splats_and_meshes == fingerprint(scene);
         holds.then_some((&*self.moving, self.moved))
     }
 
-    /// What of the document a scene does not hold, a few words each: `2 animations`, `the extension KHR_lights_punctual`.
-    /// It is lost where the document does not stand.
+    /// Parts of the document that the scene does not hold, such as `2 animations` or `the extension
+    /// KHR_lights_punctual`. They are lost if the document is not written again.
     #[must_use]
     pub fn remainder(&self) -> &[Remnant] {
         &self.remainder
     }
 
-    /// What concerns the file as a whole, and goes into another glTF where the document does not stand: in words.
+    /// File-level metadata, in words, that is carried over to another glTF if the document is not written again.
     pub(in crate::format) fn of_the_file(&self) -> Vec<String> {
         let at = |path: &str| self.root.pointer(path);
         let scene = format!("/scenes/{}", self.scene());
@@ -188,32 +190,33 @@ impl Source {
         parts.into_iter().filter(|part| part.0).map(|part| part.1.to_owned()).collect()
     }
 
-    /// Pictures that the document names and that were not found, in words: a document that is written again names them still.
+    /// Images, in words, that the document refers to but that were not found: a document that is written again still
+    /// refers to them.
     pub(in crate::format) fn unfound(&self) -> Vec<String> {
         let unfound = self.content.iter().flat_map(|content| &content.unfound);
         unfound.map(|uri| format!("the picture `{uri}`, which was not found")).collect()
     }
 
-    /// Leaves out of [`Source::remainder`] what has such a role: it is not wanted.
+    /// Removes parts with such a role from [`Source::remainder`], as not wanted.
     pub(super) fn forget(&mut self, is_of: impl Fn(Role) -> bool) {
         self.remainder.retain(|part| !is_of(part.role));
     }
 
-    /// Animations that move cameras alone are nothing to lose where cameras are not wanted.
+    /// Declares cameras unwanted: animations that move only cameras no longer count as lost.
     pub fn forget_cameras(&mut self) {
         if !self.moves() && self.remainder.iter().all(|part| part.role != Role::Unplayed) {
             self.forget(|role| role == Role::Moves);
         }
     }
 
-    /// What of [`Source::remainder`] has to do with motion, in a document that moves.
+    /// Parts of [`Source::remainder`] that concern animation, if the document has animations.
     pub(in crate::format) fn motion(&self) -> Vec<String> {
         let count = self.root.get("animations").and_then(Value::as_array).map_or(0, Vec::len);
         self.remainder.iter().filter(|part| count > 0 && part.role != Role::Rests).map(ToString::to_string).collect()
     }
 
-    /// Follows a scene that was read from this document and has been moved by `by`, column vectors, to become `scene` with
-    /// `cameras`.
+    /// Records that the scene read from this document has been transformed by `by` (for column vectors) into `scene`
+    /// with `cameras`.
     pub fn follow(&mut self, by: DMat4, scene: &HybridScene, cameras: &[(String, Camera)]) {
         self.moved = by * self.moved;
         if self.content.is_some() || !self.moving.is_still() {
@@ -221,13 +224,13 @@ impl Source {
         }
         self.cameras = fingerprint_of_cameras(cameras);
         if self.contract().is_none() {
-            // λ and near are defaults, and grow with the scene.
+            // λ and near are defaults, which scale with the scene.
             self.composition = scene.composition;
         }
     }
 
-    /// Whether the document still says what is in the scene: bit for bit what was read, but for being moved (not
-    /// mirrored), for its rule of blending, and for cameras if none are left.
+    /// Whether the document still describes the scene: bit for bit as read, except for a transform (without
+    /// reflection), the composition, and the removal of all cameras.
     #[must_use]
     pub fn stands(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> bool {
         self.content.is_some()
@@ -247,7 +250,8 @@ impl Source {
         extension_of(self.root.get("scenes")?.get(self.scene())?, HYBRID)
     }
 
-    /// Whether a rule of blending may be set: splats are of its colour space then, and not in one mesh with triangles.
+    /// Whether a composition may be set: requires splats of its colour space, and no mesh with both splats and
+    /// triangles.
     fn takes_contract(&self) -> bool {
         fn items<'a>(object: &'a Value, key: &str) -> &'a [Value] {
             object.get(key).and_then(Value::as_array).map_or(&[], Vec::as_slice)
@@ -262,14 +266,15 @@ impl Source {
         self.contract().is_some() || items(&self.root, "meshes").iter().all(is_apart)
     }
 
-    /// The document as it was read, whatever has become of the scene, and its one buffer.
+    /// Document as read, regardless of later changes of the scene, and its single buffer.
     pub(super) fn as_read(&self) -> (Value, Bin<'_>) {
         let mut root = self.root.clone();
         let bin = self.content.as_ref().map(|content| content.merge(&mut root)).unwrap_or_default();
         (root, bin)
     }
 
-    /// The document with the position, rule and cameras of the scene, which is in the frame of the capture, and its one buffer.
+    /// Document with the transform, composition and cameras of `scene`, which is in the capture's frame, and its single
+    /// buffer.
     pub(super) fn document(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> (Value, Bin<'_>) {
         let (mut root, bin) = self.as_read();
         self.place(&mut root);
@@ -282,7 +287,7 @@ impl Source {
         (root, bin)
     }
 
-    /// Puts a node above the scene where it has been moved.
+    /// Inserts a node with the accumulated transform above the scene.
     fn place(&self, root: &mut Value) {
         // Files are y up, and scenes are y down: `moved` has turned what is not ours, a root below has what is.
         let above = if self.is_ours { HALF_TURN * self.moved * HALF_TURN } else { HALF_TURN * self.moved };
@@ -309,7 +314,8 @@ impl Source {
             root["scenes"][current]["nodes"] = json!([top]);
             return;
         }
-        // What is at the top of other scenes as well stays in those, and each has a node above it: nothing may be at the top and below another.
+        // Root nodes shared with other scenes stay there, each below a node of its own: a node may not be both a root
+        // and a child.
         let tops: HashMap<u64, u64> = roots.iter().map(|&node| (node, above(&[node]))).collect();
         for (i, list) in lists.iter().enumerate().filter(|(_, list)| list.iter().any(|node| own.contains(node))) {
             root["scenes"][i]["nodes"] = list.iter().map(|node| json!(tops.get(node).unwrap_or(node))).collect();
@@ -320,7 +326,7 @@ impl Source {
         let Some(scene) = root.get_mut("scenes").and_then(|s| s.get_mut(self.scene())) else { return };
         let new = json!(SceneContract::new(composition));
         let object = object_at(object_at(scene, "extensions"), HYBRID);
-        // Absent is infinite, and the usual footprint.
+        // Absent means infinite λ and the default footprint.
         for key in ["lambda", "footprint"] {
             object.as_object_mut().map(|o| o.remove(key));
         }
@@ -353,14 +359,15 @@ impl Source {
 }
 
 impl Content {
-    /// All buffers as one, images outside included. Buffers that are never stored, placeholders of compressed views, follow.
+    /// Merges all buffers into one, including images outside buffers. Buffers that are never stored, placeholders of
+    /// compressed views, follow.
     fn merge(&self, root: &mut Value) -> Bin<'_> {
         let mut bin = Bin::default();
         let old = root.get("buffers").and_then(Value::as_array).cloned().unwrap_or_default();
         let lengths = old.iter().map(|b| b.get("byteLength").and_then(Value::as_u64).unwrap_or(0) as usize);
-        // Old index → new index and where it begins.
+        // Old buffer index → new index and offset.
         let (mut places, mut placeholders) = (vec![], vec![]);
-        // What several are made of is copied once.
+        // Content shared by several buffers is copied once.
         let mut copies = HashMap::new();
         let has_bin = self.buffers.iter().any(|b| !b.is_empty()) || !self.images.is_empty();
         for ((buffer, content), length) in old.iter().zip(&self.buffers).zip(lengths) {
@@ -409,13 +416,14 @@ impl Content {
             whole["byteLength"] = json!(bin.len());
             buffers.push(whole);
         }
-        // A plain form of compressed views that lies in a file of its own is not taken along: then they are required.
+        // An uncompressed fallback of compressed views in a file of its own is dropped; the compression extension then
+        // becomes required.
         for placeholder in placeholders.iter_mut().filter(|buffer| buffer.get("uri").is_some()) {
             placeholder.as_object_mut().map(|buffer| buffer.remove("uri"));
             for name in meshopt::NAMES {
                 if lists(root, "extensionsUsed", name) {
                     require(root, name);
-                    // Only a buffer that says so may lack a file.
+                    // Only a buffer marked as fallback may lack a file.
                     object_at(object_at(placeholder, "extensions"), name)["fallback"] = json!(true);
                 }
             }
@@ -428,24 +436,24 @@ impl Content {
     }
 }
 
-/// Whether a list of the document has that name.
+/// Whether the list `key` of the document contains `name`.
 fn lists(root: &Value, key: &str, name: &str) -> bool {
     root.get(key).and_then(Value::as_array).is_some_and(|list| list.iter().any(|n| n == name))
 }
 
-/// Adds a used extension to those that are required.
+/// Marks a used extension as required.
 fn require(root: &mut Value, name: &str) {
     if lists(root, "extensionsUsed", name) && !lists(root, "extensionsRequired", name) {
         push(root, "extensionsRequired", json!(name));
     }
 }
 
-/// The nodes at the top of a scene.
+/// Root nodes of a scene.
 fn roots_of(scene: &Value) -> Vec<u64> {
     scene.get("nodes").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_u64).collect()
 }
 
-/// Appends to an array of the document, made if there is none; returns the index.
+/// Appends to an array of the document, created if missing; returns the index.
 fn push(root: &mut Value, key: &str, value: Value) -> usize {
     if !root.get(key).is_some_and(Value::is_array) {
         root[key] = json!([]);
@@ -455,14 +463,14 @@ fn push(root: &mut Value, key: &str, value: Value) -> usize {
     list.len() - 1
 }
 
-/// Points a buffer view, or the compressed form of one, to the merged buffer.
+/// Redirects a buffer view, or its compressed form, to the merged buffer.
 fn move_view(view: &mut Value, places: &[(usize, usize)]) {
     let place = view.get("buffer").and_then(Value::as_u64).and_then(|b| places.get(b as usize));
     let Some(&(buffer, start)) = place else { return };
     let offset = view.get("byteOffset").and_then(Value::as_u64).unwrap_or(0);
     view["buffer"] = json!(buffer);
     if start > 0 {
-        // Nobody has looked at views that nothing refers to.
+        // Saturating, because unreferenced views have not been validated.
         view["byteOffset"] = json!((start as u64).saturating_add(offset));
     }
 }
@@ -474,7 +482,7 @@ fn remove_cameras(root: &mut Value) {
     root.as_object_mut().map(|root| root.remove("cameras"));
 }
 
-/// The object under `key`, made if there is none.
+/// Object under `key`, created if missing.
 fn object_at<'a>(parent: &'a mut Value, key: &str) -> &'a mut Value {
     if !parent.get(key).is_some_and(Value::is_object) {
         parent[key] = Value::Object(Map::new());
@@ -482,14 +490,14 @@ fn object_at<'a>(parent: &'a mut Value, key: &str) -> &'a mut Value {
     &mut parent[key]
 }
 
-/// Sets the members of `new` in `object`.
+/// Copies the members of `new` into `object`.
 fn merge(object: &mut Value, new: &Value) {
     if let (Some(object), Some(new)) = (object.as_object_mut(), new.as_object()) {
         object.extend(new.clone());
     }
 }
 
-/// Hashes of the parts of an array, megabytes each: on all cores.
+/// Hashes of an array's chunks of some megabytes, computed in parallel.
 fn part_hashes(bytes: &[u8]) -> Vec<u64> {
     let hash = |chunk: &[u8]| {
         let mut hasher = DefaultHasher::new();
@@ -499,7 +507,7 @@ fn part_hashes(bytes: &[u8]) -> Vec<u64> {
     bytes.par_chunks(1 << 20).map(hash).collect()
 }
 
-/// A hash of all arrays of a scene.
+/// Hash of all arrays of a scene.
 fn fingerprint(scene: &HybridScene) -> u64 {
     let mut hasher = DefaultHasher::new();
     let mut add = |bytes: &[u8]| (bytes.len(), part_hashes(bytes)).hash(&mut hasher);
@@ -509,7 +517,7 @@ fn fingerprint(scene: &HybridScene) -> u64 {
     add(bytemuck::cast_slice(s.log_scales()));
     add(bytemuck::cast_slice(s.opacity_logits()));
     add(bytemuck::cast_slice(s.sh()));
-    // Texels that many meshes share are hashed once.
+    // Texels shared by many meshes are hashed once.
     let mut known = HashMap::new();
     for mesh in &scene.meshes {
         add(bytemuck::cast_slice(mesh.positions()));

@@ -1,4 +1,4 @@
-//! Splat primitives: attributes of `KHR_gaussian_splatting`, quantised as it allows, or a stream of SPZ in their place.
+//! Splat primitives: attributes of `KHR_gaussian_splatting`, quantised as it allows, or an SPZ stream in their place.
 
 use std::collections::BTreeMap;
 
@@ -15,16 +15,16 @@ use crate::format::placed::place;
 use crate::format::{NotedSplats, activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
-/// Splats of a primitive, before a node places them.
+/// Splats of a primitive, before a node's transform.
 #[derive(Clone)]
 pub(super) struct Stored {
     splats: SplatArrays,
-    /// From their axes to those of glTF.
+    /// Transform from the splats' axes to those of glTF.
     frame: DMat4,
 }
 
 impl Stored {
-    /// As they are below a node by this transform.
+    /// Applies the transform of a node.
     pub(super) fn placed(self, (node, transform): (usize, DMat4)) -> Result<SplatArrays, Fault> {
         let Self { mut splats, frame } = self;
         place(&mut splats, transform * frame, &format!("/nodes/{node}"))?;
@@ -32,8 +32,8 @@ impl Stored {
     }
 }
 
-/// Reads primitive `id` (of mesh, in mesh), whose `KHR_gaussian_splatting` is `khr`, to be blended in a space that the scene
-/// states, or that is the first of those that its splats do.
+/// Reads primitive `id` (mesh, index in the mesh), whose `KHR_gaussian_splatting` is `khr`, for blending in the space
+/// that the scene states, or else in the first that its splats state.
 pub(super) fn read(
     asset: &Asset,
     id: (usize, usize),
@@ -85,8 +85,8 @@ pub(super) fn read(
         Some(value) => {
             let at = format!("{at_khr}/extensions/{SPZ}");
             let splats = decompress(asset, id, primitive, value, &at, notes)?;
-            // From the frame of captures (right, down, front), which the codec delivers: half a turn about z to
-            // (left, up, front), as Khronos' draft asks; early files store theirs as they are (right, up, back).
+            // Converts from the frame of captures (right, down, front), in which the codec delivers: half a turn about
+            // z to (left, up, front), as Khronos' draft requires; early files store (right, up, back) as they are.
             let [x, y, z] = if is_draft { [1.0, -1.0, -1.0] } else { [-1.0, -1.0, 1.0] };
             Ok(Stored { splats, frame: DMat4::from_diagonal(DVec4::new(x, y, z, 1.0)) })
         }
@@ -158,7 +158,7 @@ fn attributes(
     same(rotations.len(), ROTATION)?;
     let scales = asset.floats::<3>(find(SCALE, DRAFT_SCALE)?)?;
     same(scales.len(), SCALE)?;
-    // Drafts have the zeroth coefficient and the opacity as a colour.
+    // Drafts store the zeroth coefficient and the opacity as a colour.
     let dc_name = format!("{KHR_SPLATS}:SH_DEGREE_0_COEF_0");
     let of_color = is_draft && !attributes.contains_key(&dc_name) && !attributes.contains_key(OPACITY);
     let colors = if of_color { asset.floats::<4>(find("COLOR_0", "")?)? } else { vec![] };

@@ -1,4 +1,4 @@
-//! Where nodes put things, in the capture's frame.
+//! Transforms of nodes, in the capture's frame.
 
 use std::collections::HashSet;
 
@@ -9,13 +9,13 @@ use super::extension::{EXTRAS, ROOT_NODE, VISIBILITY};
 use crate::format::error::Fault;
 use crate::scene::frame::HALF_TURN;
 
-/// Every visible node that the default scene (else the first) reaches, in document order, with its global transform. In a file
-/// of ours the transform is in the frame of the capture, elsewhere in glTF's.
+/// Every visible node reachable from the default scene (else the first), in document order, with its global transform.
+/// In files written by Centaur the transform is in the capture's frame, otherwise in glTF's.
 pub(in crate::format) fn placements(document: &gltf::Document) -> Result<Vec<(gltf::Node<'_>, DMat4)>, Fault> {
     placements_by(document, local)
 }
 
-/// The same where `local` says where a node puts what is in it.
+/// Same as [`placements`], with local transforms given by `local`.
 pub(super) fn placements_by<'a>(
     document: &'a gltf::Document,
     local: impl Fn(&gltf::Node<'a>) -> DMat4,
@@ -24,23 +24,23 @@ pub(super) fn placements_by<'a>(
     Ok(all.into_iter().filter(|p| p.visibility == Visibility::Shown).map(|p| (p.node, p.transform)).collect())
 }
 
-/// A node where it is put.
+/// Node with its global transform.
 pub(super) struct Placed<'a> {
     pub(super) node: gltf::Node<'a>,
     pub(super) transform: DMat4,
     pub(super) visibility: Visibility,
 }
 
-/// Whether a node is shown.
+/// Visibility of a node.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Visibility {
     Shown,
     MadeInvisible,
-    /// One above is made invisible.
+    /// Hidden because an ancestor is invisible.
     Below,
 }
 
-/// The same with nodes that are not visible: what is shown may hang on joints among them.
+/// Same as [`placements_by`], including invisible nodes: visible content may depend on joints among them.
 pub(super) fn all_placements_by<'a>(
     document: &'a gltf::Document,
     local: impl Fn(&gltf::Node<'a>) -> DMat4,
@@ -83,7 +83,7 @@ pub(super) fn frame_of(document: &gltf::Document) -> DMat4 {
     if is_ours(document) { HALF_TURN } else { DMat4::IDENTITY }
 }
 
-/// Whether it has our root node: then its frame is that of the capture, else glTF's.
+/// Whether a document has our root node; then its frame is that of the capture, otherwise glTF's.
 pub(super) fn is_ours(document: &gltf::Document) -> bool {
     document.nodes().any(|node| is_our_root(&node))
 }
@@ -95,7 +95,7 @@ pub(super) fn is_our_root(node: &gltf::Node<'_>) -> bool {
     node.name() == Some(ROOT_NODE) && node.extras().as_ref().is_some_and(|extras| is_marked(extras.get()))
 }
 
-/// Where a node puts what is in it, in its parent.
+/// Local transform of a node, relative to its parent.
 pub(super) fn local(node: &gltf::Node<'_>) -> DMat4 {
     match node.transform() {
         Transform::Matrix { matrix } => DMat4::from_cols_array_2d(&matrix.map(|column| column.map(f64::from))),
@@ -107,7 +107,7 @@ pub(super) fn local(node: &gltf::Node<'_>) -> DMat4 {
     }
 }
 
-/// The rotation that a quaternion says, of any length; none if it is zero.
+/// Rotation of a quaternion of any norm; identity if it is zero.
 pub(super) fn unit(q: DVec4) -> DQuat {
     DQuat::from_vec4(q.try_normalize().unwrap_or(DVec4::W))
 }

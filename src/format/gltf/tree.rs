@@ -1,4 +1,4 @@
-//! The tree of a document, for people: nodes, what hangs on them and where it is.
+//! Human-readable tree of a document: nodes, their content and its position.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -15,18 +15,18 @@ use super::transform::{Placed, all_placements_by, is_ours, local};
 use crate::format::error::Fault;
 use crate::scene::frame::HALF_TURN;
 
-/// What a glTF document is made of.
+/// Content of a glTF document.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Document {
     /// `asset.generator`.
     pub generator: Option<String>,
-    /// Nodes of the scene, every one after its parent.
+    /// Nodes of the scene, each after its parent.
     pub nodes: Vec<Node>,
-    /// What can be played, in order.
+    /// Animations that can be played, in order.
     pub animations: Vec<Clip>,
-    /// How many there are of every kind: `meshes`, `materials`, `animations` …
+    /// Number of objects of every kind: `meshes`, `materials`, `animations` …
     pub counts: BTreeMap<&'static str, usize>,
-    /// What a scene cannot hold of it, see [`super::Source::remainder`].
+    /// Parts that a scene cannot hold, see [`super::Source::remainder`].
     pub remainder: Vec<String>,
 }
 
@@ -35,47 +35,49 @@ pub struct Document {
 pub struct Node {
     /// Index in the document.
     pub index: usize,
-    /// Number of nodes above it.
+    /// Number of ancestors.
     pub depth: usize,
-    /// Its name.
+    /// Name of the node.
     pub name: Option<String>,
-    /// Index of its camera.
+    /// Index of the node's camera.
     pub camera: Option<usize>,
-    /// Index of its skin.
+    /// Index of the node's skin.
     pub skin: Option<usize>,
-    /// Index of its mesh.
+    /// Index of the node's mesh.
     pub mesh: Option<usize>,
-    /// Primitives of its mesh.
+    /// Primitives of the node's mesh.
     pub primitives: Vec<Primitive>,
-    /// Lowest and highest corner of its mesh by the declared bounds, y down as in a capture, copies of it included; without skin and morph targets.
+    /// Lowest and highest corner of the node's mesh, including instances, by the declared bounds; y down as in a
+    /// capture; without skin and morph targets.
     pub bounds: Option<[[f64; 3]; 2]>,
 }
 
-/// A primitive of a mesh.
+/// Primitive of a mesh.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Primitive {
     /// `splats`, `triangles`, `points` or `lines`.
     pub kind: &'static str,
-    /// Vertices, or splats.
+    /// Number of vertices or splats.
     pub vertices: usize,
-    /// Triangles, if it is made of them.
+    /// Number of triangles, if the primitive has triangles.
     pub triangles: Option<usize>,
     /// SH degree of splats.
     pub sh_degree: Option<u32>,
     /// Colour space of splats.
     pub color_space: Option<String>,
-    /// True for splats that are compressed by SPZ.
+    /// Whether splats are compressed by SPZ.
     pub is_spz: bool,
-    /// Index of its material.
+    /// Index of the primitive's material.
     pub material: Option<usize>,
     /// Number of morph targets.
     pub morph_targets: usize,
 }
 
-/// Bytes that the description of a primitive takes, in memory and as text.
+/// Bytes of a primitive's description, in memory and as text.
 const BYTES_OF_PRIMITIVE: u64 = 512;
 
-/// Describes a document. Fails where the tree is none, and where a mesh is at so many nodes that its primitives are out of proportion.
+/// Describes a document. Fails if the node hierarchy is no tree, or if a mesh is at so many nodes that the description
+/// of its primitives would be disproportionate.
 pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
     let mut nodes: Vec<Node> = vec![];
     let mut depths: HashMap<usize, usize> = HashMap::new();
@@ -87,7 +89,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
         depths.extend(node.children().map(|child| (child.index(), depth + 1)));
         let primitives = || node.mesh().into_iter().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
         let mut boxes: Vec<[DVec3; 2]> = primitives().filter_map(|(m, p)| declared_bounds(asset, m, &p)).collect();
-        // What is wrong with them is said where they are read.
+        // Faults of instances are reported where they are read.
         let copies = copies(asset, &single, &node, &mut vec![]).unwrap_or_default();
         if copies.is_some() {
             boxes = boxes.into_iter().reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]).into_iter().collect();
@@ -166,7 +168,7 @@ fn describe(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Prim
     }
 }
 
-/// `min` and `max` of POSITION as positions, if the file has them.
+/// Corners given by `min` and `max` of POSITION, if the file has them.
 fn declared_bounds(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) -> Option<[DVec3; 2]> {
     use gltf::accessor::DataType;
     let accessor = asset.positions((mesh, primitive.index()), primitive)?;
@@ -185,7 +187,7 @@ fn declared_bounds(asset: &Asset, mesh: usize, primitive: &gltf::Primitive<'_>) 
     Some([corner("min")?, corner("max")?])
 }
 
-/// The eight corners of a box, moved.
+/// Transformed corners of a box.
 fn moved([low, high]: [DVec3; 2], transform: DMat4) -> impl Iterator<Item = DVec3> {
     (0..8).map(move |i| {
         let pick = |axis: usize| if i >> axis & 1 == 0 { low[axis] } else { high[axis] };

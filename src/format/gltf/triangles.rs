@@ -10,33 +10,34 @@ use crate::format::error::Fault;
 use crate::format::polygon;
 use crate::scene::rig::{RestSurface, Skinning};
 
-/// Triangles compressed, which are read only where accessors have them as well.
+/// Extension for compressed triangles, which are read only if accessors have them as well.
 const DRACO: &str = "KHR_draco_mesh_compression";
 
 /// Geometry of one primitive at one node.
 pub(in crate::format) struct Triangles {
     pub(in crate::format) positions: Vec<Vec3>,
     pub(in crate::format) triangles: Vec<[u32; 3]>,
-    /// A set of texture coordinates, one a vertex.
+    /// Texture coordinates of one set, per vertex.
     pub(in crate::format) uvs: Option<Vec<Vec2>>,
-    /// What the positions are where it rests.
+    /// Surface before posing.
     pub(super) rest_surface: RestSurface,
-    /// Whether the second and the third corner of every triangle have changed places, as the node mirrors.
+    /// Whether the second and third corner of every triangle have been swapped, because the node's transform is a
+    /// reflection.
     pub(super) is_mirrored: bool,
-    /// Which vertices of the file these are.
+    /// Vertices of the file from which these come.
     pub(super) stored: Stored,
 }
 
-/// Vertices of a file of which some are used.
+/// Used subset of a file's vertices.
 pub(super) struct Stored {
-    /// How many the file has.
+    /// Number of vertices in the file.
     pub(super) count: usize,
-    /// Those that there are, in order; `None`: all.
+    /// Indices of the used vertices, in order; `None`: all.
     pub(super) kept: Option<Vec<usize>>,
 }
 
 impl Triangles {
-    /// Without vertices of no triangle, as where parts of a mesh share those of the whole.
+    /// Removes unused vertices, as occur where parts of a mesh share the vertices of the whole.
     pub(super) fn of_used_vertices(self) -> Self {
         let Self { positions, mut triangles, uvs, rest_surface, is_mirrored, stored } = self;
         let kept = polygon::used(positions.len(), &mut triangles);
@@ -50,7 +51,8 @@ impl Triangles {
         }
     }
 
-    /// A copy of them at their node, of this global transform, where it is `local` in the space of that. The node has no skin.
+    /// Instance of the triangles at their node: `transform` is the node's global transform, `local` the instance's in
+    /// the node's space. The node has no skin.
     pub(in crate::format) fn copy(
         &self,
         poses: &mut Poses,
@@ -106,7 +108,7 @@ pub(in crate::format) fn read(
         return Err(Fault::pointer(format!("{at}/indices"), format!("indices below {count}"), bad.to_string()));
     }
     let mut triangles: Vec<[u32; 3]> = match primitive.mode() {
-        // Every second triangle of a strip is wound the other way.
+        // Every second triangle of a strip has the opposite winding.
         Mode::TriangleStrip => indices
             .windows(3)
             .enumerate()

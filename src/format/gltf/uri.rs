@@ -1,4 +1,4 @@
-//! What a `uri` of glTF stands for: bytes in the document itself, or a file that must lie beside it.
+//! Resolution of a glTF `uri`: embedded data, or a file beside the document.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -8,17 +8,17 @@ use super::buffer::Buffer;
 use crate::base64;
 use crate::format::inside::inside;
 
-/// Content of a data URI, or of a file in `folder` or below it. On failure: what was expected, and what was found.
+/// Content of a data URI, or of a file in `folder` or below it. On failure: expectation and finding.
 pub(in crate::format) fn resolve(uri: &str, folder: &Path) -> Result<Vec<u8>, (String, String)> {
     open(uri, folder)?.into_bytes().map_err(|e| ("a readable file".to_owned(), format!("`{uri}` ({e})")))
 }
 
-/// Files that have been loaded, by their path in the system.
+/// Files loaded so far, by their resolved path.
 #[derive(Default)]
 pub(in crate::format) struct Loaded(HashMap<PathBuf, Buffer>);
 
 impl Loaded {
-    /// As [`resolve`]; what many name is loaded once.
+    /// Same as [`resolve`]; a file referenced many times is loaded once.
     pub(in crate::format) fn resolve(&mut self, uri: &str, folder: &Path) -> Result<Arc<Vec<u8>>, (String, String)> {
         match open_once(uri, folder, &mut self.0, true)? {
             Buffer::Memory(bytes) => Ok(bytes),
@@ -27,13 +27,13 @@ impl Loaded {
     }
 }
 
-/// As [`resolve`]; the file is left where it is.
+/// Same as [`resolve`], but does not load the file.
 fn open(uri: &str, folder: &Path) -> Result<Buffer, (String, String)> {
     open_once(uri, folder, &mut HashMap::new(), false)
 }
 
-/// As [`resolve`]; the file is left where it is, unless it is to be loaded. Those in `known`, by their path in the system, are
-/// neither opened nor loaded again.
+/// Same as [`resolve`], but loads the file only if requested. Files in `known`, by resolved path, are neither opened
+/// nor loaded again.
 pub(super) fn open_once(
     uri: &str,
     folder: &Path,
@@ -58,17 +58,17 @@ pub(super) fn open_once(
     Ok(opened)
 }
 
-/// Length of the files at `uris`, of those that are there, each once; data URIs are none.
+/// Total length of the existing files at `uris`, each counted once; data URIs are ignored.
 pub(in crate::format) fn bytes_of_files<'a>(uris: impl Iterator<Item = &'a str>, folder: &Path) -> u64 {
     let mut files = HashMap::new();
     for uri in uris.filter(|uri| !uri.starts_with("data:")) {
-        // Those that are not there are none of the bytes.
+        // Missing files do not count.
         let _ = open_once(uri, folder, &mut files, false);
     }
     files.values().map(|file| file.len() as u64).sum()
 }
 
-/// Length of what a data URI holds, and at most its own.
+/// Length of a data URI's content, at most that of the URI itself.
 pub(super) fn embedded_bytes(uri: &str) -> usize {
     match uri.split_once(";base64,") {
         Some((_, encoded)) => {

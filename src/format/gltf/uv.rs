@@ -1,4 +1,4 @@
-//! From texture coordinates of glTF to those of maps, which do not repeat.
+//! Conversion of glTF texture coordinates to those of maps, which do not repeat.
 
 use glam::{Mat2, Vec2};
 use gltf::texture::WrappingMode;
@@ -8,34 +8,34 @@ use super::extension::{TEXTURE_TRANSFORM, TexelSource, TextureRef, TextureTransf
 use crate::format::error::{Fault, from_value};
 use crate::scene::{Atlas, SceneError, Texture};
 
-/// How a material reads a texture.
+/// Texture-coordinate mapping of a material's texture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::format) struct UvMap {
-    /// n of `TEXCOORD_n`.
+    /// Index n of `TEXCOORD_n`.
     pub(super) set: u32,
     pub(super) transform: Option<(Mat2, Vec2)>,
     wrap: [WrappingMode; 2],
 }
 
-/// What coordinates may pass the border of a tile by, in tiles, and belong to it.
+/// Tolerance, in tiles, by which coordinates may pass the border of a tile and still belong to it.
 const ROUNDING: f32 = 1e-3;
 
-/// Floats that a repeated texture may take, 256 MB of them; one that would take more is repeated at a lower resolution.
+/// Most floats of a repeated texture, 256 MB; larger ones are repeated at a lower resolution.
 const MAX_FLOATS: u64 = 1 << 26;
 
-/// Floats of one at a lower resolution: 64 MB of them, which with their mips are what any adapter binds.
+/// Most floats of a texture at a lower resolution: 64 MB, which with mips any adapter can bind.
 const MAX_FLOATS_REDUCED: u64 = 1 << 24;
 
-/// Floats that all repeated textures of a file may take, 1 GiB of them.
+/// Most floats of all repeated textures of a file, 1 GiB.
 const MAX_FLOATS_OF_FILE: u64 = 1 << 28;
 
-/// Floats that may be averaged for lower resolutions of a file, some seconds: many surfaces may share one texture.
+/// Most floats averaged for lower resolutions in a file, some seconds of work: many surfaces may share one texture.
 const MAX_AVERAGED_OF_FILE: u64 = 1 << 32;
 
-/// Least share of the triangles that must lie beyond the first tile for the rest to lose resolution.
+/// Least fraction of the triangles that must lie beyond the first tile for the rest to lose resolution.
 const LEAST_BEYOND: f64 = 0.01;
 
-/// Writes repetitions out for the surfaces of a file, as far as there is room.
+/// Writes out repetitions of textures for the surfaces of a file, within memory limits.
 #[derive(Default)]
 pub(in crate::format) struct Unrolling {
     floats: u64,
@@ -43,8 +43,8 @@ pub(in crate::format) struct Unrolling {
 }
 
 impl Unrolling {
-    /// All maps of a material as these corners need them, and the corners scaled to that. Where there is no room for it, at a lower resolution, or
-    /// what was given, and what there is to say of that.
+    /// Maps of a material, repeated as these corners need them; scales the corners accordingly. If memory does not
+    /// suffice, the maps are repeated at a lower resolution or returned unchanged, with a note.
     pub(in crate::format) fn unrolled(
         &mut self,
         map: &UvMap,
@@ -71,7 +71,7 @@ impl Unrolling {
         (repeated, (smaller.floats() < atlas.floats()).then(said))
     }
 
-    /// The atlas, its sides halved until it has room so often; `None` if that is not worth it.
+    /// Atlas with its sides halved until its repetitions fit; `None` if that is not worthwhile.
     fn fitting(&mut self, atlas: &Atlas, tiles: [f32; 2], beyond: impl FnOnce() -> f64) -> Option<Atlas> {
         let room = (MAX_FLOATS_OF_FILE - self.floats) as f64;
         let fits = |atlas: &Atlas, most: u64| {
@@ -90,7 +90,7 @@ impl Unrolling {
             return None;
         }
         let mut smaller = atlas.clone();
-        // Of a texel a side it fits: that is the same in every tile.
+        // Terminates: with one texel per side all tiles are equal, and it fits.
         while !fits(&smaller, MAX_FLOATS_REDUCED) {
             self.averaged += smaller.floats() as u64;
             if self.averaged > MAX_AVERAGED_OF_FILE {
@@ -103,31 +103,31 @@ impl Unrolling {
     }
 }
 
-/// What there is to say of a texture that stays as it is.
+/// Note on a texture that stays unrepeated.
 const ONCE: &str = "a texture that repeats too often is shown once: beyond its borders its edge goes on";
 
-/// Base and bands.
+/// Base and band maps.
 fn maps(atlas: &Atlas) -> impl Iterator<Item = &Texture> {
     std::iter::once(atlas.base()).chain(atlas.bands())
 }
 
-/// Of so many tiles those that make a difference: along a side of one texel none does but the first.
+/// Number of tiles that matter: along a side of one texel, only the first does.
 fn needed(atlas: &Atlas, [columns, rows]: [f32; 2]) -> [f32; 2] {
     let is_constant = |side: fn(&Texture) -> u32| maps(atlas).all(|map| side(map) == 1);
     [if is_constant(Texture::width) { 1.0 } else { columns }, if is_constant(Texture::height) { 1.0 } else { rows }]
 }
 
-/// Width and height of a map that is repeated so often.
+/// Width and height of a map after repetition.
 fn sides(map: &Texture, [columns, rows]: [f32; 2]) -> [f64; 2] {
     [f64::from(map.width()) * f64::from(columns), f64::from(map.height()) * f64::from(rows)]
 }
 
-/// Floats of an atlas that is repeated so often.
+/// Number of floats of an atlas after repetition.
 fn floats(atlas: &Atlas, [columns, rows]: [f32; 2]) -> f64 {
     f64::from(columns) * f64::from(rows) * atlas.floats() as f64
 }
 
-/// At half the resolution, each texel the mean of 2×2, as mips are; of an odd side neighbours share a texel.
+/// Halves the resolution, each texel being the mean of 2×2 as in mips; with an odd side, neighbours share a texel.
 fn halved(map: &Texture) -> Result<Texture, SceneError> {
     let (w, h, channels) = (map.width(), map.height(), map.channels() as usize);
     let [width, height] = [w, h].map(|side| (side / 2).max(1));
@@ -152,17 +152,17 @@ fn halved(map: &Texture) -> Result<Texture, SceneError> {
 }
 
 impl UvMap {
-    /// Coordinates of a set as they are.
+    /// Mapping that uses the coordinates of a set unchanged.
     pub(in crate::format) fn plain(set: u32) -> Self {
         Self { set, transform: None, wrap: [WrappingMode::ClampToEdge; 2] }
     }
 
-    /// Coordinates that a linear map and a translation take to those of a texture, and how that goes on beyond 0..1.
+    /// Mapping by a linear map and a translation, with the wrapping modes beyond 0..1.
     pub(in crate::format) fn new(transform: (Mat2, Vec2), wrap: [WrappingMode; 2]) -> Self {
         Self { transform: Some(transform).filter(|t| *t != (Mat2::IDENTITY, Vec2::ZERO)), wrap, ..Self::plain(0) }
     }
 
-    /// That of a `textureInfo`, at the JSON pointer `at`.
+    /// Mapping of a `textureInfo` at the JSON pointer `at`.
     pub(super) fn of(info: &gltf::texture::Info<'_>, at: &str) -> Result<Self, Fault> {
         let sampler = info.texture().sampler();
         let mut map = Self { set: info.tex_coord(), transform: None, wrap: [sampler.wrap_s(), sampler.wrap_t()] };
@@ -170,11 +170,11 @@ impl UvMap {
         Ok(map)
     }
 
-    /// That of a texel source, at the JSON pointer `at`.
+    /// Mapping of a texel source at the JSON pointer `at`.
     pub(super) fn of_source(document: &gltf::Document, source: &TexelSource, at: &str) -> Result<Self, Fault> {
         let wrap = |sampler: gltf::texture::Sampler<'_>| [sampler.wrap_s(), sampler.wrap_t()];
         let Some(texture) = &source.texture else {
-            // Without a sampler an accessor ends at its edge, a texture repeats.
+            // Without a sampler, an accessor is clamped to its edge, and a texture repeats.
             let sampler = source.sampler.and_then(|i| document.samplers().nth(i));
             return Ok(Self {
                 wrap: sampler.map_or([WrappingMode::ClampToEdge; 2], wrap),
@@ -184,7 +184,7 @@ impl UvMap {
         Self::of_texture(document, texture, &format!("{at}/texture"))
     }
 
-    /// That of a `textureInfo` of an extension, at the JSON pointer `at`; its texture need not exist.
+    /// Mapping of an extension's `textureInfo` at the JSON pointer `at`; its texture need not exist.
     pub(super) fn of_texture(document: &gltf::Document, texture: &TextureRef, at: &str) -> Result<Self, Fault> {
         let sampler = document.textures().nth(texture.index).map(|t| t.sampler());
         let wrap = sampler.map_or([WrappingMode::Repeat; 2], |sampler| [sampler.wrap_s(), sampler.wrap_t()]);
@@ -205,8 +205,8 @@ impl UvMap {
         Ok(())
     }
 
-    /// Corners of a triangle on the map: transformed, and where the texture repeats, moved into the first tile as far as
-    /// whole tiles do. What is left beyond 1 is repeated within the triangle.
+    /// Corners of a triangle on the map: transformed, and for repeating textures shifted by whole tiles into the first
+    /// tile as far as possible. Any part that still exceeds 1 is a repetition within the triangle.
     pub(in crate::format) fn corners(&self, uvs: [Vec2; 3]) -> [Vec2; 3] {
         let mut uvs = self.transform.map_or(uvs, |(linear, offset)| uvs.map(|uv| linear * uv + offset));
         for axis in 0..2 {
@@ -222,7 +222,7 @@ impl UvMap {
             }
             let shift = period * ((low + ROUNDING) / period).floor();
             uvs.iter_mut().for_each(|uv| uv[axis] -= shift);
-            // In the second, mirrored tile of a period alone: it is the first, read backwards.
+            // Triangles that lie only in the second, mirrored tile of a period: flipped into the first.
             if period == 2.0 && low - shift >= 1.0 - ROUNDING && high - shift <= 2.0 + ROUNDING {
                 uvs.iter_mut().for_each(|uv| uv[axis] = 2.0 - uv[axis]);
             }
@@ -230,7 +230,7 @@ impl UvMap {
         uvs
     }
 
-    /// How often the texture lies side by side and one below the other for these corners.
+    /// Number of repetitions of the texture, horizontally and vertically, that these corners need.
     fn tiles(&self, corners: &[[Vec2; 3]]) -> [f32; 2] {
         [0, 1].map(|axis| {
             let high = corners.as_flattened().iter().map(|uv| uv[axis]).fold(1.0, f32::max);
@@ -238,7 +238,7 @@ impl UvMap {
         })
     }
 
-    /// How much of a triangle lies beyond the first tile, in the mean.
+    /// Mean fraction of a triangle that lies beyond the first tile.
     fn beyond(&self, corners: &[[Vec2; 3]]) -> f64 {
         let of_triangle = |uvs: &[Vec2; 3]| {
             let along = |axis: usize| {
@@ -252,7 +252,7 @@ impl UvMap {
         corners.iter().map(of_triangle).sum::<f64>() / corners.len() as f64
     }
 
-    /// The texture so often side by side and one below the other. Its sides have been checked.
+    /// Repeats a texture horizontally and vertically. The resulting sides have been checked.
     fn repeated(&self, texture: &Texture, tiles: [f32; 2]) -> Result<Texture, SceneError> {
         if tiles == [1.0; 2] {
             return Ok(texture.clone());

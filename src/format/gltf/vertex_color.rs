@@ -1,4 +1,5 @@
-//! Colours of vertices, which a scene's meshes do not have: as a map on which every triangle has texels of its own.
+//! Conversion of vertex colours, which a scene's meshes do not have, to a map on which every triangle has its own
+//! texels.
 
 use glam::Vec2;
 
@@ -7,7 +8,7 @@ use super::triangles::Stored;
 use crate::format::error::Fault;
 use crate::scene::Texture;
 
-/// `COLOR_0` of the vertices that are kept, linear light; `None` if there is none.
+/// `COLOR_0` of the kept vertices in linear light; `None` if there is none.
 pub(super) fn read(
     asset: &Asset,
     id: (usize, usize),
@@ -30,17 +31,18 @@ pub(super) fn read(
     }))
 }
 
-/// A map that shows `texels` at vertices and what lies between them linearly in between, and its corners.
+/// Map that interpolates `texels` at vertices linearly within triangles, and the triangles' corners on it.
 ///
-/// A triangle has 2×2 texels, of which its corners are three: where the fourth is their sum, with the corner opposite to
-/// it subtracted, bilinear filtering is linear. Odd sides keep the map free of mip levels, which would mix triangles.
+/// Each triangle has 2×2 texels, three of which are its corners. With the fourth as the sum of its two neighbours minus
+/// the opposite corner, bilinear filtering is linear. Odd sides keep the map free of mip levels, which would mix
+/// triangles.
 pub(super) fn atlas(texels: &[[f32; 4]], triangles: &[[u32; 3]]) -> Result<(Texture, Vec<[Vec2; 3]>), Fault> {
     let columns = (triangles.len() as f64).sqrt().ceil().max(1.0) as usize;
     let (width, height) = (2 * columns + 1, 2 * triangles.len().div_ceil(columns) + 1);
     if width > Texture::MAX_SIDE as usize {
         return Err(Fault::whole("at most 67 million triangles with colours of vertices", triangles.len().to_string()));
     }
-    // What no triangle has is as one of them: of opaque ones all is opaque.
+    // Unused texels get the value of a corner, so that the map of opaque triangles is opaque everywhere.
     let rest = triangles.first().map_or([0.0; 4], |triangle| texels[triangle[0] as usize]);
     let mut map = vec![rest; width * height];
     let size = Vec2::new(width as f32, height as f32);

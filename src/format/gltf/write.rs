@@ -1,4 +1,4 @@
-//! Lays a hybrid scene out as JSON and one binary chunk.
+//! Layout of a hybrid scene as JSON and one binary chunk.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -21,7 +21,7 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// The document and its binary chunk, which is made as it is written.
+/// Creates the document and its binary chunk, whose content is generated while it is written.
 pub(super) fn layout<'a>(
     scene: &'a HybridScene,
     cameras: &[(String, Camera)],
@@ -43,7 +43,8 @@ pub(super) fn layout<'a>(
     }
     let mut root = json!({
         "name": ROOT_NODE,
-        // Half a turn about x: the capture's y-down world shows upright in y-up viewers. Data below stay as they are.
+        // Half a turn about x: the capture's y-down world appears upright in y-up viewers. The data below stay
+        // unchanged.
         "rotation": [1, 0, 0, 0],
         "extras": { EXTRAS: { "frame": "capture" } },
     });
@@ -57,7 +58,7 @@ pub(super) fn layout<'a>(
     out.finish(&scenes, extras, scene)
 }
 
-/// The document under construction: its arrays, and the binary chunk that they point into.
+/// Document under construction: its arrays, and the binary chunk to which they refer.
 #[derive(Default)]
 struct Layout<'a> {
     nodes: Vec<Value>,
@@ -76,14 +77,14 @@ impl<'a> Layout<'a> {
         self.nodes.len() - 1
     }
 
-    /// A buffer view of bytes.
+    /// Adds a buffer view of bytes.
     fn view(&mut self, target: Option<u32>, bytes: Vec<u8>) -> usize {
         let length = bytes.len();
         let start = self.bin.push(bytes);
         self.view_of(target, start, length)
     }
 
-    /// A buffer view of `count` rows of `stride` bytes, of which `row` appends one.
+    /// Adds a buffer view of `count` rows of `stride` bytes; `row` appends one row.
     fn rows(
         &mut self,
         target: Option<u32>,
@@ -108,7 +109,7 @@ impl<'a> Layout<'a> {
         self.accessors.len() - 1
     }
 
-    /// Rows of N floats.
+    /// Adds an accessor of rows of N floats.
     fn floats<const N: usize>(
         &mut self,
         target: Option<u32>,
@@ -121,12 +122,12 @@ impl<'a> Layout<'a> {
         self.accessor(view, FLOAT, ["SCALAR", "VEC2", "VEC3", "VEC4"][N - 1], count)
     }
 
-    /// A vertex attribute.
+    /// Adds a vertex attribute.
     fn attribute<const N: usize>(&mut self, count: usize, row: impl Fn(usize) -> [f32; N] + Sync + 'a) -> usize {
         self.floats(Some(ARRAY_BUFFER), count, row)
     }
 
-    /// POSITION, with the bounds that glTF demands.
+    /// Adds POSITION, with the bounds that glTF requires.
     fn positions(&mut self, positions: Cow<'a, [Vec3]>) -> usize {
         let low = positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
         let high = positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
@@ -148,7 +149,7 @@ impl<'a> Layout<'a> {
         for (k, name) in sh_attributes(splats.sh_degree()).enumerate() {
             add(&name, self.attribute(n, move |i| splats.sh_of(i)[k]));
         }
-        // What a viewer without the extension shows. COLOR_0 is linear light whatever the splats are.
+        // Colours for viewers without the extension. COLOR_0 is linear light, regardless of the splats' colour space.
         let color_view = self.rows(Some(ARRAY_BUFFER), (n, 8), move |i, bytes| {
             let rgb = sh::rgb_from_dc(splats.sh_of(i)[0]).map(|c| c.clamp(0.0, 1.0));
             for c in space.to_linear(rgb).into_iter().chain([opacity(i)]) {
@@ -204,7 +205,7 @@ impl<'a> Layout<'a> {
         let base = atlas.base();
         let view = self.view(None, preview_png(atlas, space));
         self.images.push(json!({ "bufferView": view, "mimeType": "image/png" }));
-        // Image i is texture i; all textures share the one sampler.
+        // Image i is texture i; all textures share one sampler.
         let texture = self.images.len() - 1;
 
         let source = |map: &Texture, accessor: usize| TexelSource {
@@ -244,14 +245,14 @@ impl<'a> Layout<'a> {
         self.materials.len() - 1
     }
 
-    /// A camera and its node; returns the node.
+    /// Adds a camera and its node; returns the node.
     fn camera(&mut self, name: &str, camera: &Camera, near: f32) -> usize {
         let (camera, node) = camera_and_node(name, camera, near, self.cameras.len());
         self.cameras.push(camera);
         self.node(node)
     }
 
-    /// The whole document and the binary chunk. glTF forbids empty arrays, so they are left out.
+    /// Complete document and binary chunk. Empty arrays are left out, because glTF forbids them.
     fn finish(self, scenes: &Value, extras: Option<Value>, scene: &HybridScene) -> (Value, Bin<'a>) {
         let mut used = vec![HYBRID];
         if !scene.splats.is_empty() {
@@ -267,7 +268,7 @@ impl<'a> Layout<'a> {
         let mut document = json!({ "asset": asset, "extensionsUsed": used, "scene": 0, "scenes": scenes });
         let textures: Vec<Value> = (0..self.images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
         if !textures.is_empty() {
-            // Trilinear, clamped: how the maps were optimised.
+            // Trilinear and clamped, as during the optimisation of the maps.
             document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
         }
         let arrays = [
@@ -290,7 +291,7 @@ impl<'a> Layout<'a> {
     }
 }
 
-/// A camera, which will have this index, and its node.
+/// JSON of a camera, which will have this index, and of its node.
 pub(super) fn camera_and_node(name: &str, camera: &Camera, near: f32, index: usize) -> (Value, Value) {
     let k = camera.intrinsics();
     let exact = ExactCamera {
@@ -328,9 +329,9 @@ pub(super) fn node_rotation(camera: &Camera) -> DQuat {
     DQuat::from_mat3(&frame::node_of_camera(camera)).normalize()
 }
 
-/// A mesh with one UV per vertex.
+/// Mesh with one UV per vertex.
 struct Split {
-    /// Vertex of the surface behind each glTF vertex. The first V are the surface's own, in order; copies follow.
+    /// Surface vertex of each glTF vertex. The first V are the surface's own, in order; copies follow.
     surface_vertices: Vec<u32>,
     uvs: Vec<Vec2>,
     triangles: Vec<[u32; 3]>,
@@ -360,7 +361,7 @@ fn split_at_seams(mesh: &Mesh) -> Split {
     Split { surface_vertices, uvs: uvs.into_iter().map(Option::unwrap_or_default).collect(), triangles }
 }
 
-/// RGBA8 of what the maps show without view dependence.
+/// RGBA8 preview of the maps without view dependence.
 fn preview_png(atlas: &Atlas, space: ColorSpace) -> Vec<u8> {
     let base = atlas.base();
     let mut rgba = Vec::with_capacity(base.texels().len());

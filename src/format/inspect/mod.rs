@@ -1,4 +1,4 @@
-//! What is in a file, for people and for scripts.
+//! Summary of a file's content, for people and scripts.
 
 mod text;
 
@@ -15,84 +15,86 @@ use super::validate::unknown_properties;
 use super::{FormatError, Kind, ReadOptions, SceneFile, has_extension, kind, ply, read_file, usd};
 use crate::scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats};
 
-/// Content of a scene file. `Display` prints it as a tree; `Serialize` gives the same to scripts.
+/// Content of a scene file. `Display` prints it as a tree; `Serialize` provides the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Path as given.
     pub file: String,
     /// `glTF`, `PLY`, `SOG`, `SPZ`, `splat`, `ksplat` or `USD`.
     pub format: &'static str,
-    /// Length of the file and of those beside it that belong to it, see [`super::stored_bytes`].
+    /// Total length in bytes of the file and the files that belong to it, see [`super::stored_bytes`].
     pub bytes: u64,
-    /// Where the bytes go: part → bytes.
+    /// Bytes per part of the file.
     pub bytes_by_part: BTreeMap<&'static str, u64>,
-    /// Optimised floats, see [`HybridScene::total_floats`].
+    /// Number of optimised floats, see [`HybridScene::total_floats`].
     pub total_floats: usize,
-    /// The splats, if any.
+    /// Splats, if any.
     pub splats: Option<SplatSummary>,
     /// The meshes.
     pub meshes: Vec<MeshSummary>,
     /// Number of cameras.
     pub cameras: usize,
-    /// What they see; none without cameras.
+    /// Image sizes and fields of view of the cameras; `None` without cameras.
     pub optics: Option<CameraSummary>,
-    /// How it is blended; `None` where the format cannot say.
+    /// Composition; `None` where the format cannot state it.
     pub composition: Option<CompositionSummary>,
-    /// How splats are widened in files that say no more of blending than that: as they state it, or as they are taken.
+    /// Pixel filter, as stated or assumed, of files that state nothing else about blending.
     pub pixel_filter: Option<PixelFilter>,
-    /// The tree of a glTF.
+    /// Node tree of a glTF.
     pub document: Option<gltf::Document>,
-    /// The tables of a PLY.
+    /// Tables of a PLY.
     pub tables: Vec<ply::Table>,
     /// `extensionsUsed`.
     pub extensions_used: Vec<String>,
     /// `extensionsRequired`.
     pub extensions_required: Vec<String>,
-    /// What Centaur cannot take over exactly.
+    /// Content that Centaur cannot represent exactly.
     pub warnings: Vec<String>,
 }
 
-/// Splats in numbers.
+/// Statistics of splats.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SplatSummary {
-    /// How many.
+    /// Number of splats.
     pub count: usize,
     /// SH degree, 0 to 3.
     pub sh_degree: u32,
-    /// Lowest and highest mean, in scene units; y down as in a capture, whatever the file's frame.
+    /// Corners of the bounding box of the means, in scene units; y down as in a capture, regardless of the file's
+    /// frame.
     pub bounds: [[f32; 3]; 2],
 }
 
-/// A mesh in numbers.
+/// Statistics of a mesh.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MeshSummary {
-    /// Vertices of the surface, seams not counted.
+    /// Number of surface vertices, not counting duplicates at UV seams.
     pub vertices: usize,
-    /// Triangles.
+    /// Number of triangles.
     pub triangles: usize,
-    /// Lowest and highest vertex, in scene units; y down as in a capture, whatever the file's frame.
+    /// Corners of the bounding box of the vertices, in scene units; y down as in a capture, regardless of the file's
+    /// frame.
     pub bounds: [[f32; 3]; 2],
     /// Width and height of the map of SH coefficient 0 and opacity.
     pub base_texels: [u32; 2],
-    /// Width and height of the maps of the higher bands.
+    /// Width and height of the maps of the higher SH bands.
     pub band_texels: Option<[u32; 2]>,
-    /// SH degree of its colour, 0 to 3.
+    /// SH degree of the mesh's colour, 0 to 3.
     pub sh_degree: u32,
 }
 
-/// Cameras in numbers.
+/// Statistics of cameras.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraSummary {
-    /// Width and height of the pictures with the fewest and with the most pixels.
+    /// Width and height of the smallest and of the largest image, by number of pixels.
     pub sizes: [[u32; 2]; 2],
     /// Narrowest and widest vertical field of view, in degrees.
     pub fov_y: [f64; 2],
 }
 
-/// The rule of blending.
+/// Composition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompositionSummary {
-    /// Whether the file says so; otherwise it is shown like this.
+    /// Whether the file states the composition; otherwise it is the one assumed.
     pub stated: bool,
     /// `stable`, `surfaceConsistent` or `direct`.
     pub mode: &'static str,
@@ -102,20 +104,20 @@ pub struct CompositionSummary {
     pub layers: u32,
     /// `srgb_rec709_display` or `lin_rec709_display`.
     pub color_space: &'static str,
-    /// RGB behind everything.
+    /// RGB colour of the background.
     pub background: [f32; 3],
-    /// Nearest depth drawn.
+    /// Depth of the near plane.
     pub near: f32,
-    /// Variance in px² that projections of splats are widened by.
+    /// Variance in px² by which projections of splats are widened.
     pub filter_variance: f32,
-    /// Whether they keep their integral then.
+    /// Whether widened projections keep their integral.
     pub filter_normalized: bool,
 }
 
-/// Reads a file and sums it up.
+/// Summarises the content of a file.
 ///
 /// # Errors
-/// As [`super::read_scene`].
+/// Those of [`super::read_scene`].
 pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
     match kind(path)? {
         Kind::Gltf => {
@@ -136,7 +138,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             };
             warnings.extend(unknown_properties(&asset.root));
             let Sizes { total, parts } = gltf::sizes(&asset, file_bytes(path)?);
-            // Those that cannot be read are counted all the same.
+            // Cameras that cannot be read are counted too.
             let count = if is_scene { cameras.len() } else { document.counts.get("cameras").copied().unwrap_or(0) };
             Ok(Summary {
                 cameras: count,
@@ -254,7 +256,7 @@ fn optics(cameras: &[(String, Camera)]) -> Option<CameraSummary> {
     })
 }
 
-/// `None` of a file that has nothing to blend, and does not say how.
+/// Composition of a scene; `None` for a file that has nothing to blend and states none.
 fn composition(scene: &HybridScene, stated: bool) -> Option<CompositionSummary> {
     let c = &scene.composition;
     (stated || !scene.splats.is_empty() || !scene.meshes.is_empty()).then(|| CompositionSummary {

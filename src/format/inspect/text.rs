@@ -1,4 +1,4 @@
-//! A summary as text. Names are those of the file, whatever is in them: what would move the cursor is escaped.
+//! Text form of a summary. Names come from the file, with control characters escaped.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -8,14 +8,14 @@ use crate::format::error::one_line;
 use crate::format::gltf;
 use crate::scene::PixelFilter;
 
-/// Nodes printed at most, and properties of a table; `--json` has all.
+/// Most nodes, and most properties of a table, that are printed; `--json` has all.
 const MAX_NODES: usize = 100;
 const MAX_PROPERTIES: usize = 12;
 
-/// Nodes with cameras, one after the other, that are told one by one.
+/// Most consecutive camera nodes that are listed individually.
 const FEW_CAMERAS: usize = 3;
 
-/// How many of the first of `nodes` have a camera, nothing else and nothing below them, side by side.
+/// Number of leading sibling nodes that have a camera, nothing else and no children.
 fn cameras(nodes: &[gltf::Node]) -> usize {
     let is_one = |i: usize| {
         let node = &nodes[i];

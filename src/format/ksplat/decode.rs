@@ -10,14 +10,14 @@ use crate::format::error::{Fault, Location};
 use crate::format::splat_record::{SplatRecord, dc_of_bytes, log_of_scale, logit_of_byte};
 use crate::scene::{SplatArrays, Splats, sh};
 
-/// How the numbers of a splat are stored.
+/// Storage of a splat's numbers.
 #[derive(Clone, Copy)]
 pub(super) struct Layout {
     pub(super) level: Level,
     pub(super) sh_degree: u32,
-    /// What 0 and 255 stand for in 8-bit SH.
+    /// Values of 0 and 255 in 8-bit SH.
     pub(super) sh_range: [f32; 2],
-    /// Scene units per step of a 16-bit mean, and the step of the centre.
+    /// Scene units per step of a 16-bit mean (`mean_step`), and the step that represents the centre (`mean_range`).
     pub(super) mean_step: f64,
     pub(super) mean_range: u32,
 }
@@ -28,7 +28,7 @@ struct Section {
     bucket_size: usize,
     bucket_stride: usize,
     full_buckets: usize,
-    /// Lengths of the buckets that are not full, centres, splats: ranges of bytes of the file.
+    /// Byte ranges in the file: lengths of the buckets that are not full, centres, splats.
     lengths: Range<usize>,
     centers: Range<usize>,
     splats: Range<usize>,
@@ -61,7 +61,7 @@ pub(super) fn decode(mut file: impl Read + Seek + Send) -> Result<Splats, Fault>
         let header = read_at(&mut file, at..at + SECTION_HEADER)?;
         parsed.push(Section::parse(&header, at, (&mut offset, length), level, sh_range)?);
     }
-    // Each splat has bytes of its own in the file.
+    // Every splat occupies bytes of the file, so `count` is bounded.
     let count: usize = parsed.iter().map(|s| s.count).sum();
     if count != declared as usize {
         return Err(Fault::byte(16, format!("{count} splats as in the sections"), declared.to_string()));
@@ -73,7 +73,7 @@ pub(super) fn decode(mut file: impl Read + Seek + Send) -> Result<Splats, Fault>
     arrays.check().map_err(|e| Fault::from(e).of_element(byte))
 }
 
-/// Offset of splat `i` of all sections together.
+/// Offset of splat `i`, counted over all sections.
 fn start_of_splat(sections: &[Section], i: usize) -> usize {
     let mut left = i;
     for section in sections {
@@ -86,7 +86,8 @@ fn start_of_splat(sections: &[Section], i: usize) -> usize {
 }
 
 impl Section {
-    /// Parses the header that stands at `at` of the file, and moves `offset` from the section's content to behind it.
+    /// Parses the section header at offset `at` of the file, and advances `offset` from the section's content to its
+    /// end.
     fn parse(
         header: &[u8],
         at: usize,
@@ -132,7 +133,7 @@ impl Section {
         let lengths = std::iter::repeat_n(self.bucket_size, self.full_buckets)
             .chain(lengths.as_chunks::<4>().0.iter().map(|&length| u32::from_le_bytes(length) as usize));
         let buckets = lengths.zip(centers.chunks_exact(self.bucket_stride.max(1)));
-        // One behind the last splat of each bucket, and its centre.
+        // End of each bucket (index of its last splat plus one), and its centre.
         let (mut end, mut ends) = (0usize, vec![]);
         if self.layout.level != Level::Float {
             for (length, center) in buckets {
@@ -161,7 +162,7 @@ fn read_at(file: &mut (impl Read + Seek), range: Range<usize>) -> Result<Vec<u8>
     Ok(bytes)
 }
 
-/// `row` has [`Level::splat_bytes`].
+/// Decodes a splat; `row` has [`Level::splat_bytes`] bytes.
 pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> SplatRecord {
     let (component, sh_component) = layout.level.component_bytes();
     let number = |k: usize| match layout.level {
@@ -203,7 +204,7 @@ pub(super) fn decode_splat(layout: &Layout, center: Vec3, row: &[u8]) -> SplatRe
     }
 }
 
-/// Place of coefficient `k` ≥ 1 of a channel among the SH components of a splat: bands in order, in a band the channels in order.
+/// Index of coefficient `k` ≥ 1 of a channel among the SH components of a splat: ordered by band, then channel.
 pub(super) fn sh_place(k: usize, channel: usize) -> usize {
     let (start, width) = if k < 4 { (1, 3) } else { (4, 5) };
     3 * (start - 1) + channel * width + (k - start)

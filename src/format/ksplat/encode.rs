@@ -12,14 +12,15 @@ use crate::format::loss::{Loss, SplatError};
 use crate::format::splat_record::{SplatRecord, color_bytes, opacity_byte, quantize};
 use crate::scene::{Splats, sh};
 
-/// Splats in a full bucket, as by the format's own writer.
+/// Splats in a full bucket, as in the format's own writer.
 const BUCKET: usize = 256;
 const BUCKETS_PER_TASK: usize = 32;
-/// Side of a block in scene units, as by the format's own writer; less in small scenes, so that they have as many blocks.
+/// Side of a block in scene units, as in the format's own writer; smaller in small scenes, so that they have as many
+/// blocks.
 const GREATEST_BLOCK: f64 = 5.0;
-/// A block is at most this part of the scene's greatest extent…
+/// Least number of blocks along the scene's greatest extent …
 const BLOCKS: f64 = 16.0;
-/// … and at least this, so that blocks can be counted.
+/// … and the greatest, so that blocks can be counted.
 const MOST_BLOCKS: f64 = 1048576.0;
 
 /// Splats that share a centre.
@@ -48,7 +49,7 @@ pub(super) fn encode(splats: &Splats, level: Level, out: &mut (impl Write + Send
         buckets.iter().for_each(|b| b.center.to_array().iter().for_each(|v| start.extend(v.to_le_bytes())));
     }
     let section = start.len() - HEADER - SECTION_HEADER + splats.len() * level.splat_bytes(sh_degree);
-    // Beyond 4 GiB the field cannot say so; readers work the size out from the counts.
+    // Beyond 4 GiB the field overflows; readers compute the size from the counts.
     let section = u32::try_from(section).unwrap_or(u32::MAX);
     start[HEADER + 28..HEADER + 32].copy_from_slice(&section.to_le_bytes());
     out.write_all(&start)?;
@@ -65,7 +66,7 @@ pub(super) fn encode(splats: &Splats, level: Level, out: &mut (impl Write + Send
     Ok(loss)
 }
 
-/// The file's header and that of its one section, whose size is still to be filled in.
+/// File header, and the header of its only section, whose size is filled in later.
 fn headers(layout: &Layout, splats: &Splats, block: f32, (buckets, full): (usize, usize)) -> Vec<u8> {
     let mut file = vec![0; HEADER + SECTION_HEADER];
     let mut put = |at: usize, bytes: &[u8]| file[at..at + bytes.len()].copy_from_slice(bytes);
@@ -101,7 +102,7 @@ fn in_order(count: usize) -> Vec<Bucket> {
         .collect()
 }
 
-/// The side of blocks, and buckets of splats of one block: full ones first.
+/// Side length of blocks, and buckets of splats of one block each; full buckets first.
 fn in_blocks(means: &[Vec3]) -> (f32, Vec<Bucket>) {
     let [low, high] = bounds(means);
     let extent = (high - low).max_element();
@@ -123,7 +124,7 @@ fn in_blocks(means: &[Vec3]) -> (f32, Vec<Bucket>) {
     (block, full)
 }
 
-/// Least and greatest coefficient of the bands that are written. Neither is 0, which readers take for "not stated".
+/// Least and greatest coefficient of the written bands. Neither is 0, which readers interpret as "not stated".
 fn sh_range(splats: &Splats, sh_degree: u32) -> [f32; 2] {
     let (all, kept) = (sh::coefficients(splats.sh_degree()), sh::coefficients(sh_degree));
     if kept == 1 {
@@ -155,7 +156,7 @@ fn encode_splat(layout: &Layout, center: Vec3, splat: &SplatRecord, bytes: &mut 
         Level::Float => splat.mean.to_array().iter().for_each(|v| bytes.extend(v.to_le_bytes())),
         _ => {
             let steps = (splat.mean.as_dvec3() - center.as_dvec3()) / layout.mean_step;
-            // A cast of a float to u16 saturates.
+            // A cast from float to u16 saturates.
             let stored = steps.to_array().map(|s| (s.round() + f64::from(layout.mean_range)) as u16);
             stored.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         }
@@ -181,7 +182,7 @@ fn encode_splat(layout: &Layout, center: Vec3, splat: &SplatRecord, bytes: &mut 
     }
 }
 
-/// The nearest f16; what is too large for one becomes the largest.
+/// Nearest f16; too large values become the largest.
 fn half(v: f32) -> f16 {
     f16::from_f32(v).clamp(f16::MIN, f16::MAX)
 }

@@ -1,7 +1,8 @@
-//! `.ksplat` of mkkellogg's `GaussianSplats3D`, version 0.1: a header of 4096 bytes, headers of 1024 bytes per section, sections.
+//! Format `.ksplat` of mkkellogg's `GaussianSplats3D`, version 0.1: a file header of 4096 bytes, section headers of
+//! 1024 bytes, sections.
 //!
-//! A splat is its mean, scales (linear), rotation (w, x, y, z), red, green, blue and opacity in 255 steps, then the SH bands above
-//! 0 to degree 2 at most, band by band and in a band channel by channel. [`Level`] says in what precision.
+//! A splat consists of mean, scales (linear), rotation (w, x, y, z), red, green, blue and opacity in 255 steps, and the
+//! SH bands from 1 up to degree 2 at most, by band, then channel. [`Level`] selects the precision.
 //!
 //! | attribute | level 0 | level 1 | level 2 |
 //! |---|---|---|---|
@@ -11,8 +12,8 @@
 //! | colour, opacity | 1/510; colours outside of 0..1 are clipped | as 0 | as 0 |
 //! | SH bands | f32, exact | f16: 1/2048 of the coefficient | 255 steps from the least to the greatest: 1/510 of their range |
 //!
-//! The figures are the largest errors of [`write()`]. The file cannot state its frame: as for PLY it is the scene's own, by custom
-//! y down.
+//! The figures are the largest errors of [`write()`]. The file cannot state its frame: as for PLY it is the scene's
+//! own, by convention y down.
 
 mod decode;
 mod encode;
@@ -24,20 +25,20 @@ use super::loss::{Loss, WriteReport};
 use super::{FormatError, atomic_write_with};
 use crate::scene::Splats;
 
-/// Bytes of the file's header.
+/// Bytes of the file header.
 const HEADER: usize = 4096;
-/// Bytes of the header of a section.
+/// Bytes of a section header.
 const SECTION_HEADER: usize = 1024;
-/// Bytes of the centre of a bucket.
+/// Bytes of a bucket's centre.
 const CENTER: usize = 12;
 /// Half the range of a 16-bit mean.
 const MEAN_RANGE: u32 = 32767;
-/// Highest SH degree that the format has.
+/// Highest SH degree of the format.
 const MAX_DEGREE: u32 = 2;
-/// Half the range of 8-bit SH where the header does not state one.
+/// Half the range of 8-bit SH if the header does not state one.
 const DEFAULT_SH_RANGE: f32 = 1.5;
 
-/// The format's compression levels.
+/// Compression level of the format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Level {
     /// 0: f32.
@@ -54,7 +55,7 @@ impl Level {
         [Self::Float, Self::Half, Self::HalfAndByte].into_iter().find(|&level| level as u16 == code)
     }
 
-    /// Bytes of one component of mean, scale and rotation, and of SH.
+    /// Bytes per component: of mean, scale and rotation, and of SH.
     fn component_bytes(self) -> (usize, usize) {
         match self {
             Self::Float => (4, 4),
@@ -70,16 +71,16 @@ impl Level {
     }
 }
 
-/// Reads splats of any level.
+/// Reads splats of any compression level.
 ///
 /// # Errors
-/// If the file cannot be read, is not such a file, is truncated, declares what contradicts itself, or holds values that
-/// [`Splats::new`] refuses.
+/// If the file cannot be read, is not a `.ksplat`, is truncated, contradicts itself, or holds values that
+/// [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
     decode::decode(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
-/// Writes splats: in their own order at level 0, bucket by bucket at the others.
+/// Writes splats: in their own order at level 0, bucket by bucket at other levels.
 ///
 /// # Errors
 /// If there are more splats than the format can count, or the file cannot be written.

@@ -1,4 +1,4 @@
-//! Wavefront OBJ: positions, texture coordinates and faces. Everything else is passed over.
+//! Wavefront OBJ: positions, texture coordinates and faces. All other content is ignored.
 
 use std::collections::HashMap;
 use std::str::SplitAsciiWhitespace;
@@ -9,21 +9,21 @@ use super::Soup;
 use crate::format::error::{Fault, Location, shown};
 use crate::format::polygon;
 
-/// A file while it is read. Indices may point to what follows, so that they are looked up at the end.
+/// OBJ file while being read. Indices may refer to later elements, so they are resolved at the end.
 #[derive(Default)]
 struct Obj {
     positions: Vec<Vec3>,
     texcoords: Vec<Vec2>,
-    /// Position and texture coordinate, if it has one, of the corners of all faces, one after the other.
+    /// Indices of position and, if present, texture coordinate of the corners of all faces, consecutively.
     corners: Vec<(u32, Option<u32>)>,
-    /// Corners of each face and where it stands, an offset.
+    /// Number of corners of each face, and its offset in the file.
     faces: Vec<(usize, usize)>,
 }
 
 pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
     let (mut obj, mut soup) = (Obj::default(), Soup::default());
     let (mut names, mut material) = (HashMap::<String, usize>::new(), None);
-    // Editors of Windows put a mark before the first word.
+    // Windows editors write a byte order mark before the first word.
     let text = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes);
     let (mut offset, mut start, mut line) = (bytes.len() - text.len(), 0, String::new());
     for raw in text.split_inclusive(|&b| b == b'\n').chain([&b""[..]]) {
@@ -32,7 +32,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
         }
         offset += raw.len();
         let text = String::from_utf8_lossy(raw);
-        // A comment ends with its line, whatever it ends in: exporters write folders of Windows there.
+        // A backslash does not continue a comment: exporters write Windows folders in comments.
         let is_comment = line.is_empty() && text.trim_start().starts_with('#');
         if let Some(begun) = text.trim_end().strip_suffix('\\').filter(|_| !is_comment) {
             line.push_str(begun);
@@ -72,7 +72,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Soup, Fault> {
     obj.finish(soup)
 }
 
-/// The next words as numbers.
+/// Parses the next words as numbers.
 fn numbers<const N: usize>(words: &mut SplitAsciiWhitespace<'_>, start: usize, line: &str) -> Result<[f32; N], Fault> {
     let mut values = [0.0; N];
     for value in &mut values {
@@ -100,7 +100,7 @@ impl Obj {
         Ok(())
     }
 
-    /// Cuts polygons into triangles. Points and lines leave nothing.
+    /// Triangulates polygons. Points and lines are dropped.
     fn finish(self, mut soup: Soup) -> Result<Soup, Fault> {
         let uv = |i: u32| self.texcoords.get(i as usize).copied().unwrap_or(Vec2::NAN);
         let mut rest = &self.corners[..];
@@ -126,7 +126,7 @@ impl Obj {
     }
 }
 
-/// An index from 1, or backwards from −1, of which the last of `count` is meant.
+/// Resolves an index, counted from 1, or from −1 backwards from the last of `count` elements.
 fn index(text: &str, count: usize) -> Option<u32> {
     let i: i64 = text.parse().ok()?;
     let i = if i < 0 { i64::try_from(count).ok()?.checked_add(i)? } else { i - 1 };

@@ -1,13 +1,15 @@
-//! Mitsuba 3: a scene as XML, for pictures; not read back.
+//! Mitsuba 3 export: a scene as XML, for rendering; not read back.
 //!
-//! `NAME.xml` is rendered by our plug-ins, [`PLUGINS`], a Python file that is laid beside it: `python hybrid_rf.py NAME.xml -o
-//! picture.exr`. They know splats and meshes, and follow the image model `ray`: the peak of a splat along the exact ray, all
-//! in the order of depth along it, SH by the mean.
+//! `NAME.xml` is rendered by our plug-ins, [`PLUGINS`], a Python file written beside it (`python hybrid_rf.py NAME.xml
+//! -o picture.exr`). They render splats and meshes by the image model `ray`: each splat at its peak along the exact
+//! ray, everything in order of depth along the ray, SH by the direction to the mean.
 //!
-//! `NAME.stock.xml` holds the splats alone, for Mitsuba as it is (`ellipsoidsmesh` and `volprim_rf_basic`): splats in the order
-//! in which their shells are entered, SH by the ray, over black, and a film without alpha. It needs no Python of ours.
+//! `NAME.stock.xml` has the splats only, for unmodified Mitsuba (`ellipsoidsmesh` and `volprim_rf_basic`): splats in
+//! the order in which the ray enters their shells, SH by the ray's direction, over black, and a film without alpha. It
+//! needs none of our Python files.
 //!
-//! Splats, meshes and maps lie beside either, as for every program that renders (`exchange`). The frame is the scene's.
+//! Splats, meshes and maps are written beside either file, as for every rendering program (`exchange`). The frame is
+//! the scene's.
 
 #[cfg(test)]
 mod tests;
@@ -22,20 +24,20 @@ use super::exchange::{self, Beside};
 use super::{FormatError, Loss, WriteReport, atomic_write};
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, OrderMode};
 
-/// The plug-ins, as a Python file that also renders, and its name.
+/// Name and content of the plug-ins, a Python file that also serves as renderer.
 pub const PLUGINS: (&str, &str) = ("hybrid_rf.py", include_str!("hybrid_rf.py"));
 
-/// Ends the names of files for Mitsuba without our plug-ins.
+/// File-name ending of exports for Mitsuba without our plug-ins.
 const STOCK: &str = ".stock.xml";
 
 /// Radii of shells in standard deviations. At the first, a splat of opacity 1 falls below 1/255. The second is for our
-/// integrator, which misses a shell that begins within a rounding error of another: it would have to miss both.
+/// integrator, which misses a shell that begins within a rounding error of another one: it would have to miss both.
 const EXTENTS: [&str; 2] = ["3.33", "3.5"];
 
-/// More splats than this are worth a warning.
+/// Number of splats above which a warning is given.
 const MANY_SPLATS: usize = 2_000_000;
 
-/// Writes the scene and what belongs to it. The document comes last.
+/// Writes the scene and its accompanying files, the document last.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -60,7 +62,7 @@ pub(super) fn write(
         beside.add(PLUGINS.0.to_owned(), |name| {
             atomic_write(&path.with_file_name(name), PLUGINS.1.as_bytes()).map(|()| PLUGINS.1.len() as u64)
         })?;
-        // Of the rule, a ray's own order replaces mode and λ; it is that of `direct`.
+        // Of the composition, the order along the ray replaces mode and λ; it equals that of `direct`.
         let composition = is_hybrid(scene) && scene.composition.mode != OrderMode::Direct;
         let loss = Loss { composition, ..Loss::default() };
         (hybrid(scene, &beside, cameras), beside, loss, hybrid_notes(scene, cameras))
@@ -115,7 +117,7 @@ fn shared_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String
     notes
 }
 
-/// What many splats take: for a million, in one shell each, 2.9 GB and 196 s were measured.
+/// Cost of many splats: for a million, in one shell each, 2.9 GB and 196 s were measured.
 const COST: &str = "Mitsuba takes about 3 GB of memory and 3 minutes (512×512 pixels, 2 cores) per million; splats are given \
                     one shell instead of two, so that some of those that overlap may be missed";
 
@@ -199,7 +201,7 @@ fn film(camera: &Camera, channels: &str) -> Element {
         .child(Element::plugin("rfilter", "box"))
 }
 
-/// Camera to world. Mitsuba's cameras look along +z, with x to the left and y up.
+/// Camera→world transform. Mitsuba's cameras look along +z, with x to the left and y up.
 fn pose(camera: &Camera) -> Element {
     let axes = camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
     let pose = DMat4::from_translation(camera.center()) * DMat4::from_mat3(axes);

@@ -1,8 +1,8 @@
-//! As much of XML as a scene of Mitsuba takes: elements with attributes.
+//! Minimal XML writer for Mitsuba scenes: elements with attributes.
 
 use std::fmt::{Display, Write as _};
 
-/// An element. What it is given is kept in order.
+/// XML element. Attributes and children keep their order.
 pub(super) struct Element {
     tag: &'static str,
     attributes: Vec<(&'static str, String)>,
@@ -14,12 +14,12 @@ impl Element {
         Self { tag, attributes: vec![], children: vec![] }
     }
 
-    /// The root of a scene.
+    /// Root element of a scene.
     pub(super) fn scene() -> Self {
         Self::new("scene").attribute("version", "3.0.0")
     }
 
-    /// An instance of a plug-in.
+    /// Element of a plug-in instance.
     pub(super) fn plugin(tag: &'static str, kind: &str) -> Self {
         Self::new(tag).attribute("type", kind)
     }
@@ -28,7 +28,7 @@ impl Element {
         Self::new(tag).attribute("name", name)
     }
 
-    /// Adds a parameter, an element of its own: `<tag name="…" value="…"/>`.
+    /// Adds a parameter as a child element: `<tag name="…" value="…"/>`.
     pub(super) fn with(self, tag: &'static str, name: &str, value: impl Display) -> Self {
         self.child(Self::named(tag, name).attribute("value", value))
     }
@@ -47,7 +47,7 @@ impl Element {
         self
     }
 
-    /// The text of a file with this root.
+    /// Text of a file with this root element.
     pub(super) fn document(&self) -> String {
         let mut text = concat!(
             "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n",
@@ -75,12 +75,13 @@ impl Element {
     }
 }
 
-/// Numbers in a list, each so that it is read as the same number.
+/// List of numbers, each written so that it is read back exactly.
 pub(super) fn numbers<T: Display>(values: &[T]) -> String {
     values.iter().map(T::to_string).collect::<Vec<_>>().join(" ")
 }
 
-/// For an attribute. What XML forbids (control characters) becomes `_`; so does `$`, which begins a parameter in Mitsuba.
+/// Escapes text for an attribute. Characters that XML forbids (control characters) become `_`; so does `$`, which
+/// begins a parameter in Mitsuba.
 fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {

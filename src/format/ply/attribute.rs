@@ -1,9 +1,9 @@
-//! What a PLY says about splats besides their parameters.
+//! Further per-splat attributes of a PLY.
 
 use super::table::{Column, Element, Scalar};
 
-/// A property of every splat that is none of the parameters of the INRIA layout, under the name and type of its file:
-/// a label, a confidence, a time. PLY alone can hold it.
+/// Per-splat property other than the parameters of the INRIA layout, with the name and type of the file: a label, a
+/// confidence, a time. Only PLY can store it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attribute {
     pub(super) name: String,
@@ -12,19 +12,19 @@ pub struct Attribute {
 }
 
 impl Attribute {
-    /// Its name in the file.
+    /// Name of the property in the file.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// One value per splat. Every type of PLY fits into f64.
+    /// Values, one per splat. Every PLY type fits into f64.
     #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values
     }
 
-    /// Of the splats of these indices, in their order.
+    /// Selects the values of the splats `indices`, in that order.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -33,7 +33,7 @@ impl Attribute {
         Self { values: indices.iter().map(|&i| self.values[i]).collect(), ..self.same_kind() }
     }
 
-    /// Of the splats of several scenes, one after the other; `None` if they differ in name or type.
+    /// Concatenates the values of several scenes; `None` if names or types differ.
     #[must_use]
     pub fn join(parts: &[&Self]) -> Option<Self> {
         let first = parts.first()?;
@@ -47,7 +47,8 @@ impl Attribute {
     }
 }
 
-/// The scalar properties of `vertex` that are no `parameters` (nor normals, which say nothing), without values, and their columns.
+/// Scalar properties of `vertex` other than `parameters` and normals (which carry no information), without values, and
+/// their columns.
 pub(super) fn of_header(vertex: &Element, parameters: &[&str]) -> (Vec<Attribute>, Vec<Column>) {
     let is_extra = |name: &str| !["nx", "ny", "nz"].contains(&name) && !parameters.contains(&name);
     let extra = vertex.scalar_properties().filter(|(_, name, _)| is_extra(name));

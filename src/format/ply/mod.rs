@@ -1,4 +1,5 @@
-//! PLY: the INRIA layout of splats (`save_ply` in `scene/gaussian_model.py`), that of `PlayCanvas`, and coloured points.
+//! PLY files: INRIA's splat layout (`save_ply` in `scene/gaussian_model.py`), that of `PlayCanvas`, and coloured
+//! points.
 
 mod attribute;
 pub mod compressed;
@@ -20,8 +21,8 @@ use super::{ReadOptions, activation, atomic_write_with};
 use crate::scene::{PixelFilter, SceneError, SplatArrays, Splats, sh, smoothed_parameters};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
-/// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own: the
-/// format cannot state them. Returns the file's size in bytes.
+/// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own, which
+/// the format cannot state. Returns the file's size in bytes.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -29,12 +30,12 @@ pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
     write_with(path, splats, &[], PixelFilter::DILATION)
 }
 
-/// As [`write()`], followed by what else is known of every splat. That they keep their integral over a picture is said in a comment, as Brush and
-/// splat-transform have it: `SplatRenderMode: mip`; and by which variance they are widened in one of our own. A filter that does not
-/// keep it is not stated.
+/// Same as [`write()`], followed by further per-splat attributes. A filter that preserves the integral of projections
+/// is stated by a comment, as Brush and splat-transform do: `SplatRenderMode: mip`; its variance by a comment of our
+/// own. A filter that does not preserve the integral is not stated.
 ///
 /// # Errors
-/// If the file cannot be written, or an attribute has not as many values as there are splats.
+/// If the file cannot be written, or the number of an attribute's values differs from that of the splats.
 pub fn write_with(
     path: &Path,
     splats: &Splats,
@@ -67,10 +68,10 @@ pub fn write_with(
     })
 }
 
-/// What the comment begins with in which we state the variance of a pixel filter.
+/// Start of the comment that states the variance of a pixel filter.
 const VARIANCE: &str = "Centaur filter variance:";
 
-/// Lines of a header of splats that keep their integral over a picture.
+/// Header comments of splats whose pixel filter preserves the integral of projections.
 fn filter_comments(filter: PixelFilter) -> String {
     if !filter.normalized {
         return String::new();
@@ -78,7 +79,7 @@ fn filter_comments(filter: PixelFilter) -> String {
     format!("comment SplatRenderMode: mip\ncomment {VARIANCE} {}\n", filter.variance)
 }
 
-/// Rows that are encoded as one task: about 1 MB.
+/// Number of rows encoded as one task: about 1 MB.
 const ROWS: usize = 1 << 12;
 
 fn encode_rows(splats: &Splats, attributes: &[Attribute], rows: Range<usize>) -> Vec<u8> {
@@ -100,46 +101,50 @@ fn encode_rows(splats: &Splats, attributes: &[Attribute], rows: Range<usize>) ->
     bytes
 }
 
-/// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals, SH degree 0 to 4, of which 3 are kept, by
-/// the number of `f_rest` properties, and flat ones without `scale_2` (2DGS); other properties and elements are ignored, but for `filter_3D` of Mip-Splatting, the standard deviation that each
-/// splat is smoothed with, which becomes part of scale and opacity. The layout of [`compressed`] is told by its properties.
+/// Reads splats in the INRIA layout: ASCII or binary, any scalar types, with or without normals; SH degree 0 to 4, of
+/// which at most 3 is kept, determined by the number of `f_rest` properties; also flat splats without `scale_2` (2DGS).
+/// Other properties and elements are ignored, except `filter_3D` of Mip-Splatting, the standard deviation of each
+/// splat's smoothing, which becomes part of scale and opacity. The layout of [`compressed`] is recognised by its
+/// properties.
 ///
-/// Infinite logits (opacities of exactly 0 or 1, as writers make them from 8-bit alpha) and log-scales of −∞ (scales of
-/// 0) become the nearest finite ones.
+/// Infinite logits (opacities of exactly 0 or 1, as converted from 8-bit alpha) and log-scales of −∞ (scales of 0)
+/// become the nearest finite ones.
 ///
 /// # Errors
-/// If the file cannot be read, is not such a PLY, is truncated, or holds values that [`Splats::new`] refuses.
+/// If the file cannot be read, is not such a PLY, is truncated, or holds values that [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
     parse_splats(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
-/// Splats, and what else a PLY says about them.
+/// Splats and further content of a PLY.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlySplats {
     /// The splats.
     pub splats: Splats,
-    /// Properties that are no parameters, as many values each as there are splats.
+    /// Properties other than parameters, each with one value per splat.
     pub attributes: Vec<Attribute>,
-    /// What they were trained to be seen with: [`PixelFilter::MIP`] where Mip-Splatting's `filter_3D` is there or Brush says so,
-    /// [`PixelFilter::NORMALIZED_DILATION`] where others do, and exactly what Centaur has stated.
+    /// Pixel filter with which the splats were trained: [`PixelFilter::MIP`] if Mip-Splatting's `filter_3D` is present
+    /// or Brush states it, [`PixelFilter::NORMALIZED_DILATION`] if others do, and exactly the stated one if Centaur
+    /// wrote the file.
     pub pixel_filter: PixelFilter,
-    /// What the file has besides, and what was made part of the splats, one sentence each.
+    /// Notes on further content of the file, and on content merged into the splats, one sentence each.
     pub notes: Vec<String>,
-    /// How many rows were left out, see [`ReadOptions::drop_invalid`]; `None` of a compressed file, which is read whole or not at all.
+    /// Number of rows left out, see [`ReadOptions::drop_invalid`]; `None` for a compressed file, which is read entirely
+    /// or not at all.
     pub dropped: Option<usize>,
 }
 
-/// As [`read`], with all other scalar properties of the splats but normals, of which a note is made where they are not zero, as of positions in
-/// double precision that lose more than a millionth of the scene's size.
+/// Same as [`read`], with all other scalar properties of the splats except normals. Non-zero normals are noted, as are
+/// positions in double precision that lose more than a millionth of the scene's size.
 ///
 /// # Errors
-/// As [`read`].
+/// Those of [`read`].
 pub fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<PlySplats, FormatError> {
     parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 
-/// Reads points: `x y z` and, where present, `red green blue` (8-bit, or float in 0..1; grey otherwise). Their
-/// frame is the file's own.
+/// Reads points: `x y z` and, where present, `red green blue` (8-bit, or float in 0..1; grey otherwise). The frame is
+/// the file's own.
 ///
 /// # Errors
 /// If the file cannot be read, is not a PLY with a `vertex` element, is truncated, or a position is not finite.
@@ -147,26 +152,26 @@ pub fn read_points(path: &Path) -> Result<Vec<(DVec3, [u8; 3])>, FormatError> {
     parse_points(open_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
-/// A table of a PLY.
+/// Table of a PLY.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Table {
     /// `vertex`, `face`, …
     pub name: String,
-    /// How many rows its header declares.
+    /// Number of rows that the header declares.
     pub rows: usize,
-    /// Names of its properties; of lists with their type: `vertex_indices[]`.
+    /// Names of the table's properties; those of lists with `[]`: `vertex_indices[]`.
     pub properties: Vec<String>,
-    /// Lowest and highest `x y z`, of points that are finite.
+    /// Lowest and highest `x y z` over finite points.
     pub bounds: Option<[[f32; 3]; 2]>,
 }
 
-/// The tables of a PLY, and whether they are those of splats, be they readable or not.
+/// Tables of a PLY, and whether they are those of splats, readable or not.
 pub(super) fn tables(path: &Path) -> Result<(Vec<Table>, bool), FormatError> {
     let located = |fault: Fault| fault.in_file(path);
     let (header, mut body) = table::open(open_file(path)?).map_err(located)?;
     let is_of_splats = is_of_splats(&header);
     let mut tables: Vec<Table> = header.elements().iter().map(Element::describe).collect();
-    // Those of splats are told from the splats.
+    // Bounds of splats are computed from the splats themselves.
     if !is_of_splats {
         body.rewind().map_err(located)?;
         for (element, table) in header.elements().iter().zip(&mut tables) {
@@ -371,26 +376,27 @@ fn diagonal(points: &[Vec3]) -> f64 {
     if points.is_empty() { 0.0 } else { (high.as_dvec3() - low.as_dvec3()).length() }
 }
 
-/// Thickness of splats that have none.
+/// Thickness assigned to splats without one.
 const FLAT: f32 = 1e-6;
 
-/// `GaussianAvatars`' triangle of a FLAME mesh that a splat hangs on.
+/// Property of `GaussianAvatars` with the triangle of a FLAME mesh that a splat follows.
 const BINDING: &str = "binding_0";
 
-/// Mip-Splatting's standard deviation of the Gaussian that a splat is smoothed with, beside scale and opacity before that.
+/// Property of Mip-Splatting with the standard deviation of a splat's 3D smoothing filter; scale and opacity in the
+/// file are those before smoothing.
 const FILTER_3D: &str = "filter_3D";
 
-/// Properties of a splat, but for its higher bands.
+/// Properties of a splat, except for its higher SH bands.
 const PARAMETERS: [&str; 15] = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
     "rot_3", FILTER_3D,
 ];
 
-/// How the comments of a header want splats to be seen.
+/// Render mode requested by the comments of a header.
 #[derive(Clone, Copy)]
 enum Mode {
     Usual,
-    /// `SplatRenderMode: mip`, of Brush and of splat-transform, which mean different filters.
+    /// `SplatRenderMode: mip`, by which Brush and splat-transform mean different filters.
     Mip,
     /// Postshot's `antialiased 1`.
     Antialiased,
@@ -398,7 +404,7 @@ enum Mode {
     Flat,
 }
 
-/// What the header says of how splats are to be seen: what Mip-Splatting adds, else the last comment that says so.
+/// Pixel filter stated by a header: implied by Mip-Splatting's property, otherwise by the last comment on it.
 fn pixel_filter_of(header: &Header, notes: &mut Vec<String>) -> PixelFilter {
     let is_compressed = compressed::is_compressed(header);
     if !is_compressed && header.element("vertex").is_some_and(|vertex| vertex.scalar(FILTER_3D).is_some()) {
@@ -437,7 +443,7 @@ fn pixel_filter_of(header: &Header, notes: &mut Vec<String>) -> PixelFilter {
     }
 }
 
-/// Which filter *mip* is, if it can be told: splat-transform writes the word for whatever is antialiased.
+/// Pixel filter meant by *mip*, if it can be determined: splat-transform writes the word for any antialiased splats.
 fn mip_filter_of(header: &Header) -> Option<PixelFilter> {
     let stated =
         header.comments().iter().find_map(|comment| comment.strip_prefix(VARIANCE)?.trim().parse::<f32>().ok());
@@ -448,8 +454,8 @@ fn mip_filter_of(header: &Header) -> Option<PixelFilter> {
     (is_of_brush || is_of_former_centaur(header)).then_some(PixelFilter::MIP)
 }
 
-/// Whether the header is as Centaur wrote it before it stated the variance: that comment alone, which splat-transform has above a table with
-/// properties in another order, or of a compressed one below its own name.
+/// Whether the header is one that Centaur wrote before it stated the variance: that comment alone; splat-transform
+/// writes it above a table with properties in another order, or, in compressed files, below its own name.
 fn is_of_former_centaur(header: &Header) -> bool {
     let first = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0"];
     let is_inrias = |vertex: &Element| vertex.scalar_properties().map(|(_, name, _)| name).take(first.len()).eq(first);
@@ -457,7 +463,8 @@ fn is_of_former_centaur(header: &Header) -> bool {
         && (compressed::is_compressed(header) || header.element("vertex").is_some_and(is_inrias))
 }
 
-/// What the file has besides splats: other tables, and lists. Scalars of splats are attributes, of compressed ones left out.
+/// Notes on content besides splats: other tables, and lists. Scalars of splats are attributes; those of compressed
+/// splats are left out.
 fn left_out(header: &Header) -> Vec<String> {
     let is_compressed = compressed::is_compressed(header);
     let mut notes = vec![];
@@ -480,11 +487,12 @@ fn left_out(header: &Header) -> Vec<String> {
 
 /// Columns of `f_rest_0`, `f_rest_1`, …
 fn rest_columns(element: &Element) -> Vec<Column> {
-    // Beyond twice the most that is accepted it does not matter how many there are.
+    // Beyond twice the largest accepted number, the exact number does not matter.
     (0..90).map_while(|i| element.column(&format!("f_rest_{i}"))).collect()
 }
 
-/// SH degree that has `rest` coefficients above the first, in three channels; one more than a scene holds is known.
+/// SH degree with `rest` coefficients above the zeroth, in three channels; one degree more than a scene can hold is
+/// recognised.
 fn degree_of_rest(rest: usize) -> Result<u32, Fault> {
     sh::degree_of_band_floats(rest, sh::MAX_DEGREE + 1)
         .ok_or_else(|| Fault::whole("0, 9, 24, 45 or 72 `f_rest` properties", rest.to_string()))
@@ -510,7 +518,7 @@ fn parse_points(file: impl BufRead + Seek) -> Result<Vec<(DVec3, [u8; 3])>, Faul
             let expected = format!("finite numbers in vertex {}", points.len());
             return Err(Fault::byte(row.at, expected, format!("{:?}", position.to_array())));
         }
-        // A float-to-integer cast saturates, and takes NaN to 0.
+        // A float-to-integer cast saturates, and maps NaN to 0.
         let rgb = colours.map_or([128; 3], |columns| columns.map(|c| (row.values[c] * scale).round() as u8));
         points.push((position, rgb));
         Ok(())

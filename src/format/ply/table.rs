@@ -1,4 +1,4 @@
-//! The PLY container: a header that names typed columns, then rows in ASCII or binary.
+//! PLY container: a header that names typed columns, then rows in ASCII or binary.
 
 mod rows;
 
@@ -8,26 +8,26 @@ pub(crate) use self::rows::Body;
 use super::Table;
 use crate::format::error::{Fault, shown};
 
-/// Longest header that is read. One of a thousand properties takes 30 kB.
+/// Longest header that is read. A header with a thousand properties takes 30 kB.
 const MAX_HEADER: u64 = 1 << 20;
 
-/// What a file says about its tables.
+/// Header of a PLY file.
 pub(crate) struct Header {
     elements: Vec<Element>,
-    /// Without the word that makes them comments.
+    /// Comments without the keyword.
     comments: Vec<String>,
     /// Offset of `end_header`.
     end: usize,
 }
 
-/// One table of the file: `vertex`, `face`, …
+/// Table of the file: `vertex`, `face`, …
 pub(crate) struct Element {
     name: String,
-    /// Offset of the line that declares it.
+    /// Offset of the line that declares the table.
     pub(crate) at: usize,
     pub(crate) count: usize,
     properties: Vec<Property>,
-    /// Bytes of the scalars of a row of [`Body::blocks`].
+    /// Bytes of a row's scalars in [`Body::blocks`].
     stride: usize,
 }
 
@@ -35,11 +35,11 @@ struct Property {
     name: String,
     kind: Scalar,
     list_length: Option<Scalar>,
-    /// Where it stands in a row of [`Body::blocks`]; of no meaning for lists.
+    /// Column in a row of [`Body::blocks`]; meaningless for lists.
     column: Column,
 }
 
-/// Where a property stands in a row of [`Body::blocks`].
+/// Location of a property in a row of [`Body::blocks`].
 #[derive(Clone, Copy)]
 pub(crate) struct Column {
     offset: usize,
@@ -81,7 +81,7 @@ impl Scalar {
         })
     }
 
-    /// As in the headers of PLY 1.0.
+    /// Name of the type in headers of PLY 1.0.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::I8 => "char",
@@ -120,7 +120,7 @@ impl Scalar {
 }
 
 impl Element {
-    /// What the header says of it; names in one line.
+    /// Describes the table as declared in the header; names in one line.
     pub(super) fn describe(&self) -> Table {
         let name = |name: &str| name.chars().take(60).collect::<String>();
         let property = |p: &Property| format!("{}{}", name(&p.name), if p.list_length.is_some() { "[]" } else { "" });
@@ -128,12 +128,12 @@ impl Element {
         Table { name: name(&self.name), rows: self.count, properties, bounds: None }
     }
 
-    /// Column of the scalar property `name`.
+    /// Index of the scalar property `name`.
     pub(crate) fn scalar(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && p.list_length.is_none())
     }
 
-    /// Names of its list properties.
+    /// Names of the list properties.
     pub(super) fn list_names(&self) -> impl Iterator<Item = &str> {
         self.properties.iter().filter(|p| p.list_length.is_some()).map(|p| p.name.as_str())
     }
@@ -148,12 +148,12 @@ impl Element {
         scalars.map(|p| (p.column, p.name.as_str(), p.kind))
     }
 
-    /// Column of the list property `name`.
+    /// Index of the list property `name`.
     pub(crate) fn list(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && p.list_length.is_some())
     }
 
-    /// Columns of scalar properties that must exist.
+    /// Indices of scalar properties that must exist.
     pub(crate) fn scalars<const N: usize>(&self, names: [&str; N]) -> Result<[usize; N], Fault> {
         let mut columns = [0; N];
         for (column, name) in columns.iter_mut().zip(names) {
@@ -165,35 +165,35 @@ impl Element {
         Ok(columns)
     }
 
-    /// As [`Self::scalar`], for [`Body::blocks`].
+    /// Same as [`Self::scalar`], for [`Body::blocks`].
     pub(super) fn column(&self, name: &str) -> Option<Column> {
         self.scalar(name).map(|i| self.properties[i].column)
     }
 
-    /// As [`Self::scalars`], for [`Body::blocks`].
+    /// Same as [`Self::scalars`], for [`Body::blocks`].
     pub(super) fn columns<const N: usize>(&self, names: [&str; N]) -> Result<[Column; N], Fault> {
         Ok(self.scalars(names)?.map(|i| self.properties[i].column))
     }
 
-    /// Column and name of every scalar property.
+    /// Index and name of every scalar property.
     pub(crate) fn scalar_names(&self) -> Vec<(usize, &str)> {
         let columns = self.properties.iter().enumerate();
         columns.filter(|(_, p)| p.list_length.is_none()).map(|(column, p)| (column, p.name.as_str())).collect()
     }
 
-    /// True if `name` is declared as a floating-point property.
+    /// Whether `name` is declared as a floating-point property.
     pub(crate) fn is_float(&self, name: &str) -> bool {
         self.properties.iter().any(|p| p.name == name && matches!(p.kind, Scalar::F32 | Scalar::F64))
     }
 }
 
 impl Column {
-    /// Its value in `row`.
+    /// Value of the property in `row`, as f32.
     pub(super) fn f32(self, row: &[u8]) -> f32 {
         if self.kind == Scalar::F32 { f32::from_le_bytes(self.bytes(row)) } else { self.f64(row) as f32 }
     }
 
-    /// Its value in `row`.
+    /// Value of the property in `row`, as f64.
     pub(super) fn f64(self, row: &[u8]) -> f64 {
         match self.kind {
             Scalar::I8 => f64::from(i8::from_le_bytes(self.bytes(row))),
@@ -212,7 +212,7 @@ impl Column {
     }
 }
 
-/// Parses the header, and leaves the rest for later.
+/// Parses the header; rows are read later.
 pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>), Fault> {
     let unreadable = |e: io::Error| Fault::unreadable(0, &e);
     let length = reader.seek(SeekFrom::End(0)).map_err(unreadable)?;
@@ -271,7 +271,7 @@ pub(crate) fn open<R: BufRead + Seek>(mut reader: R) -> Result<(Header, Body<R>)
     let encoding = encoding.ok_or_else(|| Fault::byte(offset as usize, "a `format` line", "none in the header"))?;
     for element in &mut elements {
         for property in element.properties.iter_mut().filter(|p| p.list_length.is_none()) {
-            // Text may say more than the declared type holds.
+            // ASCII values may exceed the declared type.
             let kind = if encoding == Encoding::Ascii { Scalar::F64 } else { property.kind };
             property.column = Column { offset: element.stride, kind };
             element.stride += kind.bytes();
@@ -289,12 +289,12 @@ impl Header {
         &self.comments
     }
 
-    /// The first table of this name.
+    /// First table of this name.
     pub(crate) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)
     }
 
-    /// As [`Self::element`], of one that must exist.
+    /// Same as [`Self::element`], for a table that must exist.
     pub(crate) fn required(&self, name: &str) -> Result<&Element, Fault> {
         let missing = || {
             let names: Vec<&str> = self.elements.iter().take(8).map(|e| e.name.as_str()).collect();
@@ -304,7 +304,7 @@ impl Header {
         self.element(name).ok_or_else(missing)
     }
 
-    /// A property that its element has twice: nobody can tell which is meant.
+    /// Fault of a property that occurs twice in a table, which makes it ambiguous.
     pub(crate) fn repeated_property(&self) -> Option<Fault> {
         self.elements.iter().find_map(|element| {
             let mut seen = std::collections::HashSet::new();

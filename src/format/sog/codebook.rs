@@ -1,23 +1,23 @@
-//! 256 values that stand for many: Lloyd's algorithm in one dimension.
+//! Codebook quantisation: 256 representative values found by Lloyd's algorithm in one dimension.
 
 use rayon::slice::ParallelSliceMut as _;
 
-/// 256 values in ascending order.
+/// Codebook of 256 values in ascending order.
 pub(super) struct Codebook {
     values: [f32; 256],
-    /// Half-way points: value `i` is the nearest between the (i−1)-th and the i-th.
+    /// Midpoints between neighbours: value `i` is the nearest one between borders i−1 and i.
     borders: [f32; 255],
 }
 
-/// Iterations at most. A few dozen suffice until no border passes over a value.
+/// Upper bound on iterations. A few dozen suffice until no border passes a sample.
 const ITERATIONS: usize = 100;
-/// Bins of the density from which the first codebook is made.
+/// Number of bins of the density from which the initial codebook is derived.
 const BINS: usize = 4096;
 
 impl Codebook {
-    /// The codebook of (locally) least squared error. Up to 256 distinct values are kept as they are.
+    /// Codebook of (locally) least squared error. Up to 256 distinct values are kept exactly.
     ///
-    /// Sorting comes first; with sums over the sorted values an iteration then looks at 255 borders only.
+    /// Samples are sorted first; with prefix sums over the sorted values, an iteration visits only 255 borders.
     pub(super) fn of(mut samples: Vec<f32>) -> Self {
         samples.par_sort_unstable_by(f32::total_cmp);
         let mut distinct: Vec<f32> = vec![];
@@ -38,7 +38,7 @@ impl Codebook {
         Self { values, borders: std::array::from_fn(|i| 0.5 * values[i] + 0.5 * values[i + 1]) }
     }
 
-    /// `sorted` has more than 256 distinct values.
+    /// Runs Lloyd's algorithm; `sorted` has more than 256 distinct values.
     fn lloyd(sorted: &[f32]) -> Self {
         let mut sums = Vec::with_capacity(sorted.len() + 1);
         let mut sum = 0.0;
@@ -76,14 +76,14 @@ impl Codebook {
         self.borders.partition_point(|&b| b < v) as u8
     }
 
-    /// The values, ascending.
+    /// Values in ascending order.
     pub(super) fn values(&self) -> &[f32; 256] {
         &self.values
     }
 }
 
-/// Where to begin: as dense as the cube root of the samples' density, which is the optimum for many levels (Panter and
-/// Dite 1951, "Quantization distortion in pulse-count modulation with nonuniform spacing of levels").
+/// Initial values, whose density is proportional to the cube root of the samples' density, the optimum for many levels
+/// (Panter and Dite 1951, "Quantization distortion in pulse-count modulation with nonuniform spacing of levels").
 fn first_values(sorted: &[f32]) -> [f32; 256] {
     let (low, high) = (f64::from(sorted[0]), f64::from(sorted[sorted.len() - 1]));
     let width = (high - low) / BINS as f64;

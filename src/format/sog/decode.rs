@@ -1,4 +1,4 @@
-//! From `meta.json` and images to splats.
+//! Decoding of `meta.json` and images to splats.
 
 use glam::{DQuat, Quat, Vec3};
 use rayon::prelude::*;
@@ -13,13 +13,13 @@ use crate::scene::{SplatArrays, Splats, sh};
 /// What each of the 256 values of a byte stands for.
 type Table = [f32; 256];
 
-/// What the images mean: `meta.json`, checked.
+/// Checked content of `meta.json`: the meaning of the images.
 pub(super) struct Scheme {
     count: usize,
-    /// Lowest and highest of the transformed means, per axis.
+    /// Lowest and highest transformed mean, per axis.
     means: [[f64; 2]; 3],
     scales: [Table; 3],
-    /// RGB of coefficient 0, and opacity logits.
+    /// Tables of RGB of coefficient 0, and of opacity logits.
     colors: [Table; 4],
     palette: Option<Palette>,
     /// JSON pointer and name of each image, in the order of [`Meta::files`].
@@ -28,15 +28,15 @@ pub(super) struct Scheme {
 
 struct Palette {
     table: Table,
-    /// Degree and number of entries where `meta.json` states them; version 1 leaves them to the image's size.
+    /// Degree and number of entries, if `meta.json` states them; in version 1 they follow from the image's size.
     stated: Option<(u32, usize)>,
 }
 
-/// Texels of a row of the palette's image, per coefficient.
+/// Palette entries per row of the palette's image, each with one texel per coefficient.
 pub(super) const ENTRIES_PER_ROW: usize = 64;
 
 impl Scheme {
-    /// `bytes` is the length of all files together.
+    /// Checks `meta`; `bytes` is the total length of all files.
     pub(super) fn parse(meta: &Meta, bytes: u64) -> Result<Self, Fault> {
         let first = meta.version.is_none();
         if !matches!(meta.version, None | Some(2)) {
@@ -110,7 +110,7 @@ impl Scheme {
         contents.into_par_iter().enumerate().map(decode).collect()
     }
 
-    /// What image `i` should measure, if it does not.
+    /// Checks the size of image `i`; on failure, the expected size.
     fn check_size(&self, i: usize, width: usize, height: usize) -> Result<(), String> {
         if i == 5 {
             let palette_fits = degree_of_width(width).is_some() && height <= (1 << 16) / ENTRIES_PER_ROW;
@@ -122,7 +122,8 @@ impl Scheme {
         if fits { Ok(()) } else { Err(format!("{} to {most} texels", self.count)) }
     }
 
-    /// The splats of images as [`Self::fetch`] returns them, checked, and decoded one by one as they are asked for.
+    /// Decoder of the images returned by [`Self::fetch`], which are checked now; splats are decoded one by one on
+    /// request.
     pub(super) fn decoder<'a>(&'a self, images: &'a [Texels]) -> Result<Decoder<'a>, Fault> {
         let [lower, upper, scales, rotations, colors, palette @ ..] = images else {
             return Err(Fault::pointer("/means/files", "at least 5 images", images.len().to_string()));
@@ -138,7 +139,7 @@ impl Scheme {
         Ok(Decoder { scheme: self, lower, upper, scales, rotations, colors, harmonics })
     }
 
-    /// The palette, whose entries all labels are known to be among.
+    /// Palette, after checking that all labels refer to its entries.
     fn harmonics<'a>(
         &self,
         palette: &'a Palette,
@@ -167,7 +168,7 @@ impl Scheme {
     }
 }
 
-/// Images that have been checked.
+/// Checked images.
 pub(super) struct Decoder<'a> {
     scheme: &'a Scheme,
     lower: &'a Texels,
@@ -199,7 +200,7 @@ impl Decoder<'_> {
         arrays.check().map_err(|e| Fault::from(e).under("/means"))
     }
 
-    /// Splat `i`.
+    /// Decodes splat `i`.
     pub(super) fn record(&self, i: usize) -> SplatRecord {
         let scheme = self.scheme;
         let (low, high, scale, color) = (self.lower.at(i), self.upper.at(i), self.scales.at(i), self.colors.at(i));
@@ -214,7 +215,7 @@ impl Decoder<'_> {
         let mut sh_degree = 0;
         if let Some(harmonics) = &self.harmonics {
             sh_degree = harmonics.degree;
-            // Entries follow each other in rows of 64, so that all coefficients lie in one sequence.
+            // Entries are consecutive in rows of 64, so all coefficients form one sequence.
             let bands = sh::coefficients(sh_degree) - 1;
             let first = harmonics.label(i) * bands;
             for (k, coefficient) in sh[1..=bands].iter_mut().enumerate() {
@@ -224,7 +225,7 @@ impl Decoder<'_> {
         }
         SplatRecord {
             mean: Vec3::from([0, 1, 2].map(mean)),
-            // The tags have been checked.
+            // Tags have been checked.
             rotation: rotation(self.rotations.at(i)).unwrap_or_default(),
             log_scale: Vec3::from([0, 1, 2].map(|axis| scheme.scales[axis][usize::from(scale[axis])])),
             opacity_logit: color(3),
@@ -259,13 +260,13 @@ fn range(name: &str, field: &Field, channel: usize) -> Result<[f64; 2], Fault> {
     Ok([end("mins", &field.mins)?, end("maxs", &field.maxs)?])
 }
 
-/// Version 1: evenly spaced.
+/// Evenly spaced table of version 1.
 fn range_table(name: &str, field: &Field, channel: usize) -> Result<Table, Fault> {
     let [low, high] = range(name, field, channel)?;
     Ok(std::array::from_fn(|v| (low + (high - low) * v as f64 / 255.0) as f32))
 }
 
-/// Version 2.
+/// Codebook table of version 2.
 fn codebook_table(name: &str, field: &Field) -> Result<Table, Fault> {
     let at = format!("/{name}/codebook");
     let fault = |found: String| Fault::pointer(&at, "1 to 256 numbers", found);
@@ -276,26 +277,27 @@ fn codebook_table(name: &str, field: &Field) -> Result<Table, Fault> {
     };
     let rest: Result<Vec<f32>, Fault> = rest.iter().map(|v| v.ok_or_else(|| fault("null".to_owned()))).collect();
     let rest = rest?;
-    // Of fewer values than a byte can name, as there may be of few splats, bytes name no other.
+    // With few splats there may be fewer values than 256; bytes then refer to no others.
     let last = rest.last().copied().or(*first).ok_or_else(|| fault("null".to_owned()))?;
     let mut table = [last; 256];
     table[1..=rest.len()].copy_from_slice(&rest);
-    // A missing first value is taken to be one mean step below the second, as PlayCanvas' own reader does.
+    // A missing first value is assumed to be one mean step below the second, as in PlayCanvas' own reader.
     table[0] = first.unwrap_or(table[1] - (table[255] - table[1]) / 255.0);
     Ok(table)
 }
 
-/// The inverse of [`compress`].
+/// Inverse of [`compress`].
 fn expand(v: f64) -> f64 {
     v.abs().exp_m1().copysign(v)
 }
 
-/// The signed logarithm in which means are stored: fine near the origin, coarse far out.
+/// Signed logarithm in which means are stored: fine near the origin, coarse far away.
 pub(super) fn compress(v: f64) -> f64 {
     v.abs().ln_1p().copysign(v)
 }
 
-/// Components other than the largest of (w, x, y, z), in order, and which that is.
+/// Decodes a rotation: the components of (w, x, y, z) other than the largest, in order, and a tag with the index of the
+/// largest. On failure, the tag.
 fn rotation([a, b, c, tag]: [u8; 4]) -> Result<Quat, u8> {
     let largest = usize::from(tag.checked_sub(252).ok_or(tag)?);
     let rest = [a, b, c].map(|v| (f64::from(v) / 255.0 * 2.0 - 1.0) * std::f64::consts::FRAC_1_SQRT_2);
@@ -307,12 +309,12 @@ fn rotation([a, b, c, tag]: [u8; 4]) -> Result<Quat, u8> {
     Ok(DQuat::from_xyzw(x, y, z, w).normalize().as_quat())
 }
 
-/// The inverse of [`rotation`], for a unit quaternion.
+/// Inverse of [`rotation`], for a unit quaternion.
 pub(super) fn rotation_texel(q: Quat) -> [u8; 4] {
     let [x, y, z, w] = q.as_dquat().to_array();
     let wxyz = [w, x, y, z];
     let largest = (1..4).fold(0, |best, i| if wxyz[i].abs() > wxyz[best].abs() { i } else { best });
-    // A quaternion and its negative are one rotation; readers take the largest component to be positive.
+    // A quaternion and its negative are the same rotation; readers assume the largest component to be positive.
     let sign = wxyz[largest].signum();
     let mut others = (0..4).filter(|&i| i != largest);
     let mut byte = || {

@@ -1,4 +1,4 @@
-//! From splats to `meta.json` and images.
+//! Encoding of splats to `meta.json` and images.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -13,12 +13,12 @@ use crate::format::error::Fault;
 use crate::format::splat_record::opacity_byte;
 use crate::scene::{Splats, in_morton_order, sh};
 
-/// A SOG in memory.
+/// SOG in memory.
 pub(super) struct Encoded {
     pub(super) meta: Meta,
-    /// In the order of [`Meta::files`].
+    /// Images in the order of [`Meta::files`].
     pub(super) images: Vec<Texels>,
-    /// For each written splat, where it was.
+    /// Per written splat, its original index.
     pub(super) order: Vec<usize>,
 }
 
@@ -74,7 +74,8 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
         version: Some(2),
         asset: Some(json!({ "generator": concat!("Centaur ", env!("CARGO_PKG_VERSION")) })),
         count: Some(n as u64),
-        // What readers of the format's description know, and what splat-transform does.
+        // `antialias` is for readers that follow the format's description, `model` is written like splat-transform
+        // does.
         antialias,
         model: antialias.then(|| json!("antialiased")),
         means: Field {
@@ -92,7 +93,7 @@ pub(super) fn encode(splats: &Splats, antialias: bool) -> Result<Encoded, Fault>
     Ok(Encoded { meta, images, order })
 }
 
-/// What 16 bits of a coordinate range over, after [`compress`].
+/// Ranges of the means' 16-bit coordinates, after [`compress`].
 struct MeanRange {
     mins: [f64; 3],
     maxs: [f64; 3],
@@ -125,18 +126,18 @@ impl MeanRange {
     }
 }
 
-/// Width and height in texels, multiples of 4 about as wide as high.
+/// Width and height in texels: multiples of 4, approximately square.
 fn image_size(count: usize) -> [usize; 2] {
     let width = ((count as f64).sqrt().ceil() as usize).next_multiple_of(4).clamp(4, MAX_SIDE);
     [width, count.div_ceil(width).next_multiple_of(4).clamp(4, MAX_SIDE)]
 }
 
-/// Image of the palette's entries, labels, and how to read them.
+/// Image of the palette's entries, labels, and the field that describes them.
 fn harmonics(splats: &Splats) -> (Texels, Vec<u16>, Field) {
     let (n, degree) = (splats.len(), splats.sh_degree());
     let coefficients = sh::coefficients(degree) - 1;
     let vectors = Vectors { sh: splats.sh().as_flattened(), dims: 3 * coefficients };
-    // Half to all of the splats' own number, up to what 16-bit labels can tell apart.
+    // Palette size: half to all of the number of splats, up to the number of 16-bit labels.
     let most = 1 << n.max(1).ilog2().min(16);
     let palette = palette(vectors, n, most);
     let count = palette.entries.len() / vectors.dims;

@@ -1,4 +1,4 @@
-//! The files of a SOG: members of a zip, or of a folder.
+//! Files of a SOG: members of a zip, or of a folder.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -17,10 +17,10 @@ use crate::format::inside::inside;
 use crate::format::{atomic_write, atomic_write_with};
 
 pub(super) const META: &str = "meta.json";
-/// Largest `meta.json`: three codebooks of 256 numbers take 20 kB.
+/// Largest accepted `meta.json`: three codebooks of 256 numbers take 20 kB.
 const MAX_META: u64 = 1 << 20;
 
-/// Where the files are.
+/// Location of the files.
 pub(super) struct FileSet {
     place: Place,
     bytes: u64,
@@ -32,7 +32,7 @@ enum Place {
 }
 
 impl FileSet {
-    /// `path` is a zip, or the `meta.json` of a folder.
+    /// Opens a SOG; `path` is a zip, or the `meta.json` of a folder.
     pub(super) fn open(path: &Path) -> Result<Self, FormatError> {
         if is_folder(path) {
             let folder = folder_of(path).to_owned();
@@ -50,14 +50,14 @@ impl FileSet {
         Ok(Self { place: Place::Bundle(Box::new(archive)), bytes })
     }
 
-    /// Length of all files together.
+    /// Total length of all files.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes
     }
 
     pub(super) fn meta(&mut self) -> Result<Meta, Fault> {
         let text = match &self.place {
-            // The file that was opened has no other that names it.
+            // Fault without a pointer: the opened file is not referenced by another one.
             Place::Folder(_) => self.read(META, "", MAX_META)?,
             Place::Bundle(archive) if archive.index_for_name(META).is_none() => {
                 let directory = archive.central_directory_start() as usize;
@@ -72,7 +72,7 @@ impl FileSet {
         from_json(&text, 0, "the `meta.json` of a SOG").map_err(|fault| self.in_meta(fault))
     }
 
-    /// Length of the images that `meta.json` names, where they are in a folder; each once, and none that is not there.
+    /// Total length of the existing images that `meta.json` names, if they are in a folder; each counts once.
     pub(super) fn bytes_beside(&mut self) -> Result<u64, Fault> {
         let Place::Folder(folder) = &self.place else { return Ok(0) };
         let folder = folder.clone();
@@ -82,14 +82,14 @@ impl FileSet {
         Ok(images.iter().filter_map(|image| image.metadata().ok()).map(|m| m.len()).sum())
     }
 
-    /// A fault of `meta.json`.
+    /// Places a fault in `meta.json`.
     pub(super) fn in_meta(&self, fault: Fault) -> Fault {
         if let Place::Bundle(_) = self.place { fault.in_member(META) } else { fault }
     }
 
-    /// The content of an image, which `meta.json` names at the pointer `at`.
+    /// Content of an image that `meta.json` names at the pointer `at`.
     pub(super) fn image(&mut self, name: &str, at: &str) -> Result<Vec<u8>, Fault> {
-        // Lossless WebP does not deflate further, so that a member much larger than the whole zip is a trap.
+        // Lossless WebP does not deflate further, so a member much larger than the whole zip is malicious.
         self.read(name, at, self.bytes.saturating_mul(8).saturating_add(1 << 16))
     }
 
@@ -116,12 +116,12 @@ impl FileSet {
     }
 }
 
-/// True if `path` names a folder's files rather than a bundle.
+/// Whether `path` names the files of a folder rather than a bundle.
 pub(super) fn is_folder(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name == META)
 }
 
-/// Length of the files next to `meta.json`; unreadable ones do not count.
+/// Total length of the files beside `meta.json`; unreadable ones do not count.
 fn folder_bytes(folder: &Path) -> u64 {
     let entries = folder.read_dir().into_iter().flatten().filter_map(Result::ok);
     entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
@@ -138,7 +138,7 @@ pub(super) fn write(path: &Path, meta: &Meta, images: &[Texels]) -> Result<u64, 
     if !is_folder(path) {
         return atomic_write_with(path, |out| {
             write_zip(out, |zip| {
-                // Without a date the zip depends on its content alone. Compressed images do not deflate.
+                // Without a date, the zip depends only on its content. Compressed images do not deflate.
                 let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
                 for (name, content) in files {
                     zip.start_file(name, options.large_file(content.len() > i32::MAX as usize))?;

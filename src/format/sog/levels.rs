@@ -1,4 +1,4 @@
-//! Streamed SOG: `lod-meta.json`, a tree of space over folders of splats in several levels of detail. Described at
+//! Streamed SOG: `lod-meta.json`, a spatial tree over folders of splats in several levels of detail. Described at
 //! <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/>.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
@@ -20,31 +20,31 @@ pub(super) const INDEX: &str = "lod-meta.json";
 
 #[derive(Deserialize)]
 struct Index {
-    /// Splats that are drawn whatever the level.
+    /// Splats drawn at every level.
     environment: Option<String>,
-    /// Each a `meta.json`, relative to the index.
+    /// Paths of `meta.json` files, relative to the index.
     filenames: Vec<String>,
     tree: Node,
-    /// Splats of each level in the whole tree.
+    /// Number of splats of each level in the whole tree.
     counts: Option<Vec<usize>>,
     #[serde(flatten)]
     rest: Map<String, Value>,
 }
 
-/// Keys of an index that say nothing more of the finest level.
+/// Keys of an index that carry no further information on the finest level.
 const OF_LEVELS: [&str; 5] = ["asset", "count", "lodErrors", "lodLevels", "version"];
 
 #[derive(Deserialize)]
 struct Node {
     #[serde(default)]
     children: Vec<Node>,
-    /// By level; 0 is the finest.
+    /// Parts by level; 0 is the finest.
     #[serde(default)]
     lods: BTreeMap<u32, Part>,
 }
 
 impl Node {
-    /// The least level of any leaf.
+    /// Finest level of any leaf.
     fn finest(&self) -> Option<u32> {
         self.children.iter().filter_map(Self::finest).chain(self.lods.keys().next().copied()).min()
     }
@@ -65,7 +65,7 @@ impl Index {
     }
 }
 
-/// Length of all levels that are there, each folder or bundle once.
+/// Total length of all existing levels, each folder or bundle counted once.
 pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     let index = Index::read(path)?;
     let names = index.filenames.iter().chain(&index.environment);
@@ -75,8 +75,8 @@ pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     Ok(sets.iter().filter_map(bytes).sum())
 }
 
-/// The splats of the finest level; of parts whose file of it is missing, those of the finest that is there. With a sentence each on what is
-/// missing, is left out, or says otherwise.
+/// Reads the splats of the finest level; for parts whose file is missing, those of the finest level available. Notes
+/// state, in a sentence each, what is missing, left out or contradictory.
 pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     let index = Index::read(path)?;
     let folder = folder_of(path);
@@ -102,7 +102,7 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     let mut by_file: BTreeMap<usize, Vec<Part>> = BTreeMap::new();
     found.parts.into_iter().for_each(|part| by_file.entry(part.file).or_default().push(part));
     let (mut sources, mut antialiased) = (vec![], false);
-    // Most files say the same.
+    // Notes are deduplicated, because most files give the same ones.
     let mut of_sets = BTreeSet::new();
     let mut taken = HashSet::new();
     for (file, mut own) in by_file {
@@ -137,22 +137,23 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     Ok(NotedSplats::new(splats, antialiased, notes))
 }
 
-/// The splats of one folder or bundle, never of another index: a circle of them would have no end.
+/// Splats of one folder or bundle; never of another index, because indices might refer to each other in a cycle.
 fn set_of(path: &Path) -> Result<NotedSplats, FormatError> {
     FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
 }
 
-/// What is read of the finest level.
+/// Parts that are read for the finest level.
 #[derive(Default)]
 struct Finest {
     parts: Vec<Part>,
-    /// How many of them are of a coarser one, as their file is missing.
+    /// Number of parts of a coarser level, used because the finest one's file is missing.
     coarser: usize,
-    /// Splats that the tree has of it, be their files there or not.
+    /// Number of splats of the finest level in the tree, whether or not their files exist.
     stated: usize,
 }
 
-/// Takes the parts of `level`, which is the finest. A leaf without it has no splats there: what coarser levels show in its place lies in others.
+/// Collects the parts of `level`, the finest. A leaf without that level has no splats there: what coarser levels show
+/// in its place belongs to other leaves.
 fn collect(node: &Node, at: &str, level: u32, there: &[Option<impl Sized>], found: &mut Finest) -> Result<(), Fault> {
     if let Some(finest) = node.lods.get(&level) {
         let is_there = |part: &Part| there.get(part.file).is_some_and(Option::is_some);
@@ -168,7 +169,8 @@ fn collect(node: &Node, at: &str, level: u32, there: &[Option<impl Sized>], foun
     children.try_for_each(|(i, child)| collect(child, &format!("{at}/children/{i}"), level, there, found))
 }
 
-/// Parts of one file, by offset, must lie in it and not overlap, so that no splat is there twice.
+/// Checks the parts of one file, sorted by offset: they must lie within the file and not overlap, so that no splat
+/// occurs twice.
 fn check_parts(parts: &[Part], count: usize, file: usize) -> Result<(), Fault> {
     let mut end = 0;
     for part in parts {

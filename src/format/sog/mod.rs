@@ -1,10 +1,10 @@
-//! SOG (spatially ordered Gaussians, `PlayCanvas`): `meta.json` and lossless `WebP` images, together in a folder or in a
-//! zip called `.sog`. The format is described at
+//! SOG (spatially ordered Gaussians, `PlayCanvas`): `meta.json` and lossless `WebP` images, in a folder or in a zip
+//! called `.sog`. The format is described at
 //! <https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/>.
 //!
-//! One texel is one splat: means in 16 bits of a signed logarithm, rotations in 26, opacities in 8; scales and colours
-//! are indices into codebooks of 256 values, harmonics into a palette of up to 65,536 vectors. Version 1, which has
-//! ranges in place of codebooks, is read but not written.
+//! One texel represents one splat: means in 16 bits of a signed logarithm, rotations in 26, opacities in 8; scales and
+//! colours are indices into codebooks of 256 values, harmonics into a palette of up to 65,536 vectors. Version 1, which
+//! has ranges instead of codebooks, is read but not written.
 
 mod codebook;
 mod decode;
@@ -29,22 +29,24 @@ use super::{NotedSplats, some_of};
 use crate::scene::Splats;
 
 /// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
-/// to 3. Frame and colour space are the file's own: the format cannot state them.
+/// to 3. Frame and colour space are the file's own, which the format cannot state.
 ///
-/// Of a scene in levels of detail (`lod-meta.json`) the finest is read; of parts whose file of it is missing, the finest that is there.
+/// Of a scene with levels of detail (`lod-meta.json`) the finest is read; for parts whose file is missing, the finest
+/// available.
 ///
 /// # Errors
-/// If a file cannot be read or is missing, names a path outside of the folder, holds lossy images or images of another
-/// size than the number of splats calls for, refers to more than its palettes hold, or declares more splats than files
-/// of its size can describe.
+/// If a file cannot be read or is missing, names a path outside the folder, holds lossy images or images of a size
+/// other than the number of splats requires, refers beyond its palettes, or declares more splats than files of its size
+/// can describe.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
     read_noted(path).map(|read| read.splats)
 }
 
-/// As [`read`], with the pixel filter, and a sentence each on levels of detail that are missing and on what else the file has, as a camera.
+/// Same as [`read`], with the pixel filter, and a note each on missing levels of detail and on other content of the
+/// file, such as a camera.
 ///
 /// # Errors
-/// As [`read`].
+/// Those of [`read`].
 pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
     if path.file_name().is_some_and(|name| name == levels::INDEX) {
         return levels::read(path);
@@ -52,18 +54,19 @@ pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
     FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
 }
 
-/// A sentence on the keys of `file` of which splats know nothing, if there are any.
+/// Note on the keys of `file` that do not affect splats, if there are any.
 fn left_out<'a>(file: &str, keys: impl Iterator<Item = &'a str>) -> Option<String> {
     let keys: Vec<String> = keys.map(|key| shown(key.as_bytes())).collect();
     (!keys.is_empty()).then(|| format!("{} of {file}: left out", some_of(keys.iter().map(String::as_str))))
 }
 
-/// True if the file's name alone says that it is SOG.
+/// Whether the file's name alone identifies it as SOG.
 pub(super) fn is_named(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name == files::META || name == levels::INDEX)
 }
 
-/// Length of the files that a `meta.json` or a `lod-meta.json` names, see [`super::stored_bytes`]; a bundle has none.
+/// Total length of the files that a `meta.json` or a `lod-meta.json` names, see [`super::stored_bytes`]; 0 for a
+/// bundle.
 pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     if path.file_name().is_some_and(|name| name == levels::INDEX) {
         return levels::bytes_beside(path);
@@ -84,8 +87,8 @@ impl FileSet {
     }
 }
 
-/// Writes version 2, splats in Morton order: a bundle, or where `path` ends in `meta.json` the files of one into that
-/// folder (the images first, each at once or not at all). The same splats always give the same bytes.
+/// Writes version 2, splats in Morton order: a bundle, or, if `path` ends in `meta.json`, separate files in that folder
+/// (images first, each written atomically). The same splats always give the same bytes.
 ///
 /// # Errors
 /// If a file cannot be written, or there are more splats than an image has texels (16384²).
@@ -93,11 +96,11 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     write_with(path, splats, false)
 }
 
-/// As [`write()`]; `antialiased` is stated in the file: whether splats are to keep their integral over a picture
+/// Same as [`write()`]; `antialiased` is stated in the file: whether projections of splats keep their integral
 /// (`PixelFilter::normalized`).
 ///
 /// # Errors
-/// As [`write()`].
+/// Those of [`write()`].
 pub fn write_with(path: &Path, splats: &Splats, antialiased: bool) -> Result<WriteReport, FormatError> {
     let encoded = encode::encode(splats, antialiased).map_err(|fault| fault.in_file(path))?;
     let written = decode::Scheme::parse(&encoded.meta, u64::MAX).map_err(|fault| fault.in_file(path))?;

@@ -1,25 +1,27 @@
-//! Vectors that stand for many: cells split where the error is, then Lloyd's algorithm among neighbours.
+//! Vector quantisation: cells are split where the error is largest, then Lloyd's algorithm runs among neighbours.
 //!
-//! Plain k-means compares every vector with each of 65,536 centroids. Here cells are halved, as k-d trees are, until one
-//! is due at most [`GROUP`] entries; only within such a group are vectors compared with all centroids. The cost of an
-//! iteration is linear in the number of vectors whatever the size of the palette, and nothing is left to chance.
+//! Plain k-means compares every vector with each of 65,536 centroids. Here cells are halved, as in k-d trees, until
+//! each is allotted at most [`GROUP`] entries; only within such a group are vectors compared with all centroids. The
+//! cost of an iteration is linear in the number of vectors regardless of the palette's size, and the result is
+//! deterministic.
 
 use rayon::prelude::*;
 
-/// Entries of a group.
+/// Largest number of entries of a group.
 const GROUP: usize = 64;
-/// Iterations at most; most groups end sooner.
+/// Upper bound on iterations; most groups end sooner.
 const ITERATIONS: usize = 12;
-/// Share of the entries by squared error to this power: d/(d+2) is optimal for d-dimensional data, and the
-/// coefficients of trained splats vary in few dimensions, here taken as 6.
+/// Exponent: entries are shared in proportion to the squared error to this power. d/(d+2) is optimal for d-dimensional
+/// data, and the coefficients of trained splats vary in few dimensions, here taken as 6.
 const SHARE: f64 = 0.75;
-/// Halvings of halves. Even halves of a billion take 30; the rest is for outliers, which are split off one by one.
+/// Upper bound on nested halvings. Even halves of a billion take 30; the rest is for outliers, which are split off one
+/// by one.
 const MAX_DEPTH: u32 = 256;
 
-/// The harmonics beyond coefficient 0 of splats, one vector of `dims` floats each.
+/// SH coefficients above coefficient 0 of splats, one vector of `dims` floats each.
 #[derive(Clone, Copy)]
 pub(super) struct Vectors<'a> {
-    /// Coefficients of all splats with coefficient 0, splat-major, RGB.
+    /// SH coefficients of all splats including coefficient 0, splat-major, RGB.
     pub(super) sh: &'a [f32],
     pub(super) dims: usize,
 }
@@ -30,13 +32,13 @@ impl Vectors<'_> {
     }
 }
 
-/// Vectors `[K·dims]`, and for each splat the one nearest to its own.
+/// Palette vectors `[K·dims]`, and per splat the index of the vector nearest to its own.
 pub(super) struct Palette {
     pub(super) entries: Vec<f32>,
     pub(super) labels: Vec<u16>,
 }
 
-/// A palette of at most `most` (1 to 65,536) entries for `count` vectors.
+/// Palette of at most `most` (1 to 65,536) entries for `count` vectors.
 pub(super) fn palette(vectors: Vectors<'_>, count: usize, most: usize) -> Palette {
     let mut members: Vec<u32> = (0..count as u32).collect();
     let spread = Spread::of(vectors, &members);
@@ -61,7 +63,7 @@ struct Spread {
 
 impl Spread {
     fn of(vectors: Vectors<'_>, members: &[u32]) -> Self {
-        // Sums of fixed chunks in fixed order: the same whatever the number of threads.
+        // Sums over fixed chunks in fixed order: independent of the number of threads.
         let sums: Vec<_> = members.par_chunks(1 << 14).map(|chunk| sums(vectors, chunk)).collect();
         let n = members.len().max(1) as f64;
         let (mut mean, mut error) = (vec![0.0; vectors.dims], vec![0.0; vectors.dims]);
@@ -89,8 +91,8 @@ fn sums(vectors: Vectors<'_>, members: &[u32]) -> (Vec<f64>, Vec<f64>) {
     (sum, squares)
 }
 
-/// Orders `members` so that those below the mean of the axis with the largest error come first; returns how many they
-/// are: none if all members are alike, to the precision of the sums.
+/// Partitions `members` about the mean of the axis with the largest error, lower ones first; returns their number: 0 if
+/// all members are alike, to the precision of the sums.
 fn partition(vectors: Vectors<'_>, members: &mut [u32], spread: &Spread) -> usize {
     let Some(axis) = (0..vectors.dims).max_by(|&a, &b| spread.error[a].total_cmp(&spread.error[b])) else { return 0 };
     let mut low = 0;
@@ -103,17 +105,18 @@ fn partition(vectors: Vectors<'_>, members: &mut [u32], spread: &Spread) -> usiz
     low
 }
 
-/// Some vectors that are due a number of entries, at most one each.
+/// Vectors to which a number of entries is allotted, at most one each.
 struct Cell<'m> {
     members: &'m mut [u32],
     spread: Spread,
     entries: usize,
-    /// Halvings that led to it.
+    /// Number of halvings that led to the cell.
     depth: u32,
 }
 
 impl<'m> Cell<'m> {
-    /// The two halves, with the entries shared between them by error; the cell itself if it cannot be halved.
+    /// Halves the cell and shares its entries between the halves by error; returns the cell itself if it cannot be
+    /// halved.
     fn halve(self, vectors: Vectors<'_>) -> Result<[Self; 2], Self> {
         let whole = self.entries < 2 || self.depth == MAX_DEPTH;
         let low = if whole { 0 } else { partition(vectors, self.members, &self.spread) };
@@ -136,10 +139,10 @@ impl<'m> Cell<'m> {
     }
 }
 
-/// Neighbouring entries, and the vectors that they stand for.
+/// Neighbouring entries and the vectors that they represent.
 struct Group<'m> {
     members: &'m [u32],
-    /// Into `centroids`, one per member.
+    /// Indices into `centroids`, one per member.
     labels: Vec<u8>,
     centroids: Vec<f32>,
 }
@@ -158,7 +161,7 @@ fn groups<'m>(vectors: Vectors<'_>, cell: Cell<'m>) -> Vec<Group<'m>> {
     }
 }
 
-/// Centroids to begin with: the means of the cell's parts, halved until each is due one entry.
+/// Initial centroids: the means of the cell's parts, halved until each is allotted one entry.
 fn first_centroids(vectors: Vectors<'_>, cell: Cell<'_>, centroids: &mut Vec<f32>) {
     match cell.halve(vectors) {
         Err(cell) => centroids.extend(cell.spread.mean.iter().map(|&m| m as f32)),
@@ -198,11 +201,11 @@ fn lloyd<'m>(vectors: Vectors<'_>, cell: Cell<'m>) -> Group<'m> {
     Group { members, labels, centroids }
 }
 
-/// Index of the centroid with the least squared distance to `row`; the first of several.
+/// Index of the centroid with the least squared distance to `row`; the first one if there are several.
 fn nearest(row: &[f32], centroids: &[f32], dims: usize) -> u8 {
     let mut best = (f32::INFINITY, 0);
     for (i, centroid) in centroids.chunks_exact(dims).enumerate() {
-        // Eight sums side by side: one alone would have to be added up in order.
+        // Eight partial sums, because a single sum would have to be added in order.
         let mut lanes = [0.0f32; 8];
         let ((rows, row_rest), (cs, c_rest)) = (row.as_chunks::<8>(), centroid.as_chunks::<8>());
         for (r, c) in rows.iter().zip(cs) {

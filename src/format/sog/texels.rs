@@ -1,14 +1,14 @@
-//! Images of bytes, and their lossless `WebP`.
+//! Byte images and their lossless `WebP` form.
 
 use std::io::Cursor;
 
 use crate::format::error::Fault;
 use image_webp::{ColorType, EncoderParams, WebPDecoder, WebPEncoder};
 
-/// Largest side that `WebP` can state.
+/// Largest side that `WebP` can represent.
 pub(super) const MAX_SIDE: usize = 16384;
 
-/// A row-major image of 8-bit texels with 3 or 4 channels, first row at the top.
+/// Row-major image of 8-bit texels with 3 or 4 channels, first row at the top.
 pub(super) struct Texels {
     pub(super) width: usize,
     pub(super) height: usize,
@@ -17,12 +17,12 @@ pub(super) struct Texels {
 }
 
 impl Texels {
-    /// RGBA, black and opaque.
+    /// Black, opaque RGBA image.
     pub(super) fn opaque(width: usize, height: usize) -> Self {
         Self { width, height, channels: 4, bytes: [0, 0, 0, 255].repeat(width * height) }
     }
 
-    /// Texel `i`, counted from the top-left, row by row. Images without alpha are opaque.
+    /// Texel `i`, row-major from the top left. Images without alpha are opaque.
     pub(super) fn at(&self, i: usize) -> [u8; 4] {
         let t = &self.bytes[i * self.channels..][..self.channels];
         [t[0], t[1], t[2], *t.get(3).unwrap_or(&255)]
@@ -33,7 +33,7 @@ impl Texels {
         self.bytes.as_chunks_mut().0
     }
 
-    /// Decodes a lossless `WebP` whose size `fits`. Faults stand at the byte up to which it was read.
+    /// Decodes a lossless `WebP` whose size `fits`. Faults have the byte offset up to which it was read.
     pub(super) fn decode(webp: &[u8], fits: impl FnOnce(usize, usize) -> Result<(), String>) -> Result<Self, Fault> {
         let mut cursor = Cursor::new(webp);
         let decoded = Self::read(&mut cursor, fits);
@@ -58,9 +58,9 @@ impl Texels {
         Ok(Self { width, height, channels, bytes })
     }
 
-    /// The image as lossless `WebP`.
+    /// Encodes the image as lossless `WebP`.
     pub(super) fn encode(&self) -> Vec<u8> {
-        // Prediction from neighbours helps means, and hurts indices.
+        // Prediction from neighbours improves the compression of means, and worsens that of indices.
         let candidates = [true, false].map(|predict| {
             let mut webp = vec![];
             let mut parameters = EncoderParams::default();

@@ -1,4 +1,4 @@
-//! The bytes of an SPZ file: headers, streams, compression, extensions.
+//! Container of SPZ files: headers, streams, compression, extensions.
 
 use std::io::{self, Read, Write as _};
 
@@ -11,7 +11,8 @@ use super::frame::Frame;
 use crate::format::error::Fault;
 use crate::scene::sh;
 
-/// Means, opacities, SH coefficient 0, scales, rotations, higher bands; in this order in every version.
+/// Number of streams: means, opacities, SH coefficient 0, scales, rotations, higher bands; in this order in every
+/// version.
 pub(in crate::format) const STREAMS: usize = 6;
 const NAMES: [&str; STREAMS] = ["means", "opacities", "colours", "scales", "rotations", "SH bands"];
 
@@ -23,39 +24,39 @@ const TOC_ENTRY: usize = 16;
 pub(super) const ANTIALIASED: u8 = 1;
 const HAS_EXTENSIONS: u8 = 2;
 pub(in crate::format) const KNOWN_FLAGS: u8 = ANTIALIASED | HAS_EXTENSIONS;
-/// `SPZ_ADOBE_coordinate_system`.
+/// Extension `SPZ_ADOBE_coordinate_system`.
 const COORDINATE_SYSTEM: u32 = 0xADBE_0003;
 
-/// Deflate cannot expand further, and no scene of different splats comes near it. zstd could expand to 30 times as
-/// much, so that a short file would fill the memory.
+/// Upper bound on the expansion of compressed data. Deflate cannot exceed it, and no scene of distinct splats comes
+/// near it. zstd could expand 30 times as much, so that a short file would fill the memory.
 const GREATEST_EXPANSION: u64 = 1032;
-/// What a file may expand to however short it is.
+/// Size to which any file may expand, however short.
 const ALWAYS_PLAUSIBLE: u64 = 64 << 20;
-/// What follows the attributes of versions 2 and 3 is not kept beyond this.
+/// Upper bound on bytes kept of what follows the attributes of versions 2 and 3.
 const GREATEST_TRAILER: u64 = 1 << 16;
-/// zstd's own limit of memory for a decoder, 2²⁷ bytes.
+/// zstd's own limit on a decoder's memory, 2²⁷ bytes.
 const WINDOW_LOG_MAX: u32 = 27;
-/// Compresses within 1 % of level 12, which the format's own library has used, at a fraction of its time.
+/// Compression level: within 1 % of level 12, which the format's own library has used, at a fraction of its time.
 const ZSTD_LEVEL: i32 = 9;
 
-/// What all versions state first.
+/// Header fields common to all versions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::format) struct Header {
     pub(in crate::format) version: u32,
     pub(in crate::format) count: usize,
-    /// Up to 4 in files.
+    /// SH degree, up to 4 in files.
     pub(in crate::format) sh_degree: u32,
     pub(in crate::format) fractional_bits: u8,
     pub(in crate::format) flags: u8,
 }
 
-/// A file before its splats are decoded. Streams have exactly the lengths of `header`.
+/// File before its splats are decoded. Streams have exactly the lengths required by `header`.
 pub(in crate::format) struct Packed {
     pub(in crate::format) header: Header,
     pub(in crate::format) frame: Frame,
     pub(in crate::format) streams: [Vec<u8>; STREAMS],
     pub(in crate::format) notes: Vec<String>,
-    /// Bytes of the file, or of what it unpacks to, that are of no stream and no extension.
+    /// Number of bytes of the file, or of its unpacked content, that belong to no stream and no extension.
     pub(in crate::format) unused: usize,
 }
 
@@ -67,7 +68,7 @@ impl Header {
 
     fn stream_bytes(&self) -> [u64; STREAMS] {
         let rotation = if self.version == 2 { 3 } else { 4 };
-        // Counts are 32 bits in the file, so that 64 bits suffice.
+        // Counts are 32 bits in the file, so 64 bits suffice.
         [9, 1, 3, 3, rotation, self.band_bytes() as u64].map(|bytes| bytes * self.count as u64)
     }
 
@@ -99,13 +100,13 @@ impl Header {
     }
 }
 
-/// Takes a file apart.
+/// Splits a file into header, streams and extensions.
 pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
     if bytes.starts_with(&GZIP) {
         let mut content = GzDecoder::new(bytes);
         let decoded = decode_legacy(&mut content, bytes.len());
         let decoded = decoded.map(|packed| Packed { unused: packed.unused + content.get_ref().len(), ..packed });
-        // Bytes of the header are those of what is unpacked; else it is known how far it was.
+        // Offsets in the header refer to unpacked content; other faults are placed where reading the file stopped.
         return decoded.map_err(|fault| fault.unpacked().or_at_byte(bytes.len() - content.get_ref().len()));
     }
     let Some(start) = bytes.first_chunk::<LEGACY_HEADER>() else {
@@ -121,7 +122,7 @@ pub(in crate::format) fn decode(bytes: &[u8]) -> Result<Packed, Fault> {
 
 fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> {
     let start = read_exactly(content, LEGACY_HEADER as u64, "header")?;
-    // `read_exactly` has made sure of the length.
+    // The length is ensured by `read_exactly`.
     let header = Header::parse(start.first_chunk().unwrap_or(&[0; LEGACY_HEADER]))?;
     if header.version == 4 {
         return Err(Fault::byte(4, "version 2 or 3 inside gzip", "4"));
@@ -131,7 +132,7 @@ fn decode_legacy(content: &mut impl Read, file: usize) -> Result<Packed, Fault> 
     for ((stream, bytes), name) in streams.iter_mut().zip(header.stream_bytes()).zip(NAMES) {
         *stream = read_exactly(content, bytes, name)?;
     }
-    // Only reading to the very end verifies the checksum of gzip.
+    // gzip's checksum is verified only when reading to the very end.
     let mut trailer = vec![];
     content.take(GREATEST_TRAILER).read_to_end(&mut trailer).map_err(|e| damaged("trailer", &e))?;
     io::copy(content, &mut io::sink()).map_err(|e| damaged("trailer", &e))?;
@@ -144,7 +145,7 @@ fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
     };
     header.check_plausible(bytes.len())?;
     let expected: Vec<(&str, u64)> = NAMES.into_iter().zip(header.stream_bytes()).collect();
-    // Empty streams are left out, but for one writer or another.
+    // Most writers leave out empty streams.
     let kept: Vec<usize> = (0..STREAMS).filter(|&k| k + 1 < STREAMS || header.sh_degree > 0).collect();
     let count = usize::from(start[15]);
     if count != kept.len() && count != STREAMS {
@@ -179,7 +180,7 @@ fn decode_v4(header: Header, bytes: &[u8]) -> Result<Packed, Fault> {
         let at = place.start;
         if size > 0 { decompress(&bytes[place], size, name).map_err(|fault| fault.at_byte(at)) } else { Ok(vec![]) }
     });
-    // The first fault in the file, whichever is found first.
+    // Report the first fault in file order, regardless of which thread finds one first.
     let decompressed: Vec<Result<Vec<u8>, Fault>> = decompressed.collect();
     let mut streams = [const { Vec::new() }; STREAMS];
     for (stream, content) in streams.iter_mut().zip(decompressed) {
@@ -201,7 +202,7 @@ fn decompress(frame: &[u8], size: u64, name: &str) -> Result<Vec<u8>, Fault> {
     Ok(stream)
 }
 
-/// Memory grows with what arrives, not with what is declared.
+/// Reads exactly `size` bytes; memory grows with the bytes that arrive, not with the declared size.
 fn read_exactly(content: &mut impl Read, size: u64, name: &str) -> Result<Vec<u8>, Fault> {
     let mut stream = vec![];
     content.take(size).read_to_end(&mut stream).map_err(|e| damaged(name, &e))?;
@@ -215,12 +216,12 @@ fn damaged(name: &str, error: &io::Error) -> Fault {
     Fault::whole(format!("{name} that can be decompressed"), error.to_string())
 }
 
-/// `extra`: what lies where extensions do.
+/// Completes a file; `extra`: bytes at the place of extensions.
 fn finish(header: Header, streams: [Vec<u8>; STREAMS], extra: &[u8]) -> Result<Packed, Fault> {
     let (mut frame, mut notes) = (Frame::default(), vec![]);
     let extensions = if header.flags & HAS_EXTENSIONS == 0 { &[] } else { extra };
     let mut rest = extensions;
-    // Records of type, length and content; what is left of a cut one is ignored, as by the format's own library.
+    // Records of type, length and content; a truncated last one is ignored, as by the format's own library.
     while let Some((&[a, b, c, d, e, f, g, h], after)) = rest.split_first_chunk::<8>() {
         let (kind, length) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
         let Some((content, next)) = after.split_at_checked(length as usize) else { break };
@@ -237,14 +238,14 @@ fn finish(header: Header, streams: [Vec<u8>; STREAMS], extra: &[u8]) -> Result<P
     Ok(Packed { header, frame, streams, notes, unused })
 }
 
-/// Compresses the attributes block by block.
+/// Writer that compresses the attributes block by block.
 pub(super) struct Writer {
     header: Header,
     streams: Streams,
 }
 
 enum Streams {
-    /// One after the other in a single stream, so that all must be there before the first can be written.
+    /// Attributes are consecutive in a single stream, so all must be complete before the first can be written.
     Legacy([Vec<u8>; STREAMS]),
     V4(Vec<zstd::Encoder<'static, Vec<u8>>>),
 }
@@ -260,7 +261,7 @@ impl Writer {
             let kept = if header.sh_degree > 0 { STREAMS } else { STREAMS - 1 };
             let encoder = |&bytes: &u64| {
                 let mut encoder = zstd::Encoder::new(vec![], ZSTD_LEVEL)?;
-                // The frame then states its size, and tables fit short ones.
+                // The frame then states its size, and small frames get small tables.
                 encoder.set_pledged_src_size(Some(bytes))?;
                 Ok(encoder)
             };
@@ -284,7 +285,7 @@ impl Writer {
         let header = self.header;
         let mut start = MAGIC.to_vec();
         start.extend(header.version.to_le_bytes());
-        // `new` has looked.
+        // Checked by `new`.
         start.extend((header.count as u32).to_le_bytes());
         start.extend([header.sh_degree as u8, header.fractional_bits, header.flags]);
         let encoders = match self.streams {

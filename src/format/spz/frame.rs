@@ -1,4 +1,4 @@
-//! Axes of SPZ files against those of captures.
+//! Conversion between the axes of SPZ files and those of captures.
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 
@@ -8,10 +8,10 @@ use crate::scene::{
     sh,
 };
 
-/// How the axes of a file become those of a scene: a quarter turn about x where the file has z up, then changes of sign.
+/// Transform from a file's axes to a scene's: a quarter turn about x if the file has z up, then sign changes.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::format) struct Frame {
-    /// SH under the quarter turn (x, y, z) → (x, z, −y), if there is one.
+    /// SH rotation of the quarter turn (x, y, z) → (x, z, −y), if there is one.
     quarter_turn: Option<sh::Rotation>,
     signs: Vec3,
     /// Sign of each SH coefficient under `signs`.
@@ -19,7 +19,7 @@ pub(in crate::format) struct Frame {
 }
 
 impl Default for Frame {
-    /// x right, y up, z backwards.
+    /// Default frame: x right, y up, z backwards.
     fn default() -> Self {
         Self::new(false, OPENGL_FROM_OPENCV.as_vec3())
     }
@@ -32,20 +32,20 @@ impl Frame {
         Self { quarter_turn, signs, sh_signs: sh_signs(signs.as_dvec3()) }
     }
 
-    /// That of `SPZ_ADOBE_coordinate_system`: 1 to 8 count through left/right, down/up, back/front of x, y, z, the first
-    /// fastest; 9 to 16 are the same with y and z named in the other order (forward or back, then down or up). 0 is
-    /// unspecified, which is the default frame.
+    /// Frame of a code of `SPZ_ADOBE_coordinate_system`: 1 to 8 enumerate left/right, down/up, back/front of x, y, z,
+    /// the first fastest; 9 to 16 are the same with y and z exchanged (forward or back, then down or up). 0 is
+    /// unspecified, which means the default frame.
     pub(super) fn from_code(code: u32) -> Option<Self> {
         if code == 0 {
             return Some(Self::default());
         }
         let index = code.checked_sub(1).filter(|&i| i < 16)?;
         let sign = |bit: u32, positive: bool| if (index >> bit & 1 == 1) == positive { 1.0 } else { -1.0 };
-        // A scene is right, down, front.
+        // A scene's axes are right, down, front.
         Some(Self::new(index >= 8, Vec3::new(sign(0, true), sign(1, false), sign(2, true))))
     }
 
-    /// A splat in the file's axes, in those of the scene.
+    /// Converts a splat from the file's axes to the scene's.
     pub(super) fn to_scene(&self, splat: &SplatRecord) -> SplatRecord {
         let Some(turn) = &self.quarter_turn else { return self.signed(splat) };
         let mut turned = SplatRecord {
@@ -57,12 +57,13 @@ impl Frame {
         self.signed(&turned)
     }
 
-    /// Inverse of [`Self::to_scene`] for frames without a quarter turn, which are all that is written.
+    /// Inverse of [`Self::to_scene`] for frames without a quarter turn, the only ones that are written.
     pub(super) fn to_file(&self, splat: &SplatRecord) -> SplatRecord {
         self.signed(splat)
     }
 
-    /// Changes of sign, S: a covariance R Λ Rᵀ becomes (S R S) Λ (S R S)ᵀ, and S R S is a rotation even where S mirrors.
+    /// Applies sign changes S: a covariance R Λ Rᵀ becomes (S R S) Λ (S R S)ᵀ, and S R S is a rotation even if S is a
+    /// reflection.
     fn signed(&self, splat: &SplatRecord) -> SplatRecord {
         let (s, q) = (self.signs, splat.rotation);
         let mut sh = splat.sh;

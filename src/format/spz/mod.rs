@@ -1,4 +1,4 @@
-//! SPZ (Niantic Labs, github.com/nianticlabs/spz): attribute by attribute in 8 to 32 bits, then compressed.
+//! SPZ format (Niantic Labs, github.com/nianticlabs/spz): attribute by attribute in 8 to 32 bits, then compressed.
 //!
 //! | attribute | stored as | largest error of [`write()`] |
 //! |---|---|---|
@@ -10,13 +10,13 @@
 //! | rotation, versions 3, 4 | the three smallest components in sign and 9 bits, index of the largest in (x, y, z, w) | 0.28° |
 //! | SH bands 1; 2, 3 | (c + 1)·128 rounded to 5; 4 bits ([`Options::sh_bits`]) | 1/32; 1/16 (1/256 with 8 bits); beyond ±1 clipped |
 //!
-//! Versions 2 and 3 are one gzip stream of a header of 16 bytes and the attributes; version 4 has a header of 32 bytes,
-//! records of extensions, a table of sizes and a zstd frame per attribute.
+//! Versions 2 and 3 are one gzip stream of a 16-byte header and the attributes; version 4 has a 32-byte header,
+//! extension records, a table of sizes and a zstd frame per attribute.
 //!
-//! **Frame.** SPZ is x right, y up, z backwards; PLY and captures are y down, z forwards. Splats are turned by half a turn
-//! about x on the way in and out, rotations and SH included, so that one scene read from PLY and from SPZ is the same.
-//! A file of version 4 may state another frame (`SPZ_ADOBE_coordinate_system`), which is honoured, mirrored ones too.
-//! Some programs store PLY axes without saying so; such files arrive upside down.
+//! **Frame.** SPZ is x right, y up, z backwards; PLY and captures are y down, z forwards. Reading and writing rotate
+//! splats by half a turn about x, including rotations and SH, so that a scene read from PLY and from SPZ is the same. A
+//! version 4 file may state another frame (`SPZ_ADOBE_coordinate_system`), which is applied, even if mirrored. Some
+//! programs store PLY axes without stating it; such files appear upside down.
 
 pub(super) mod container;
 mod frame;
@@ -33,28 +33,28 @@ use super::splat_record::SplatRecord;
 use super::{FormatError, NotedSplats, atomic_write_with};
 use crate::scene::{SplatArrays, Splats, sh};
 
-/// Which layout to write.
+/// File layout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Version {
-    /// gzip, 24-bit rotations: for readers of before 2025.
+    /// gzip, 24-bit rotations: for readers from before 2025.
     V2,
     /// gzip, 32-bit rotations.
     V3,
-    /// zstd, a stream per attribute.
+    /// zstd, one stream per attribute.
     #[default]
     V4,
 }
 
-/// How to write.
+/// Options of writing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Layout.
+    /// File layout.
     pub version: Version,
-    /// Bits of SH coefficients in band 1 and in the higher bands, 1 to 8. Readers do not need to know; fewer bits
+    /// Bits of SH coefficients in band 1 and in the higher bands, 1 to 8. Readers need not know the number; fewer bits
     /// compress better. The default of 5 and 4 is that of the format's own library.
     pub sh_bits: [u32; 2],
-    /// Whether the file says that splats are to keep their integral over a picture (`PixelFilter::normalized`);
-    /// [`super::write_scene`] says what the scene's composition does.
+    /// Whether the file states that projections of splats keep their integral (`PixelFilter::normalized`);
+    /// [`super::write_scene`] sets it according to the scene's composition.
     pub antialiased: bool,
 }
 
@@ -73,10 +73,11 @@ pub fn read(path: &Path) -> Result<Splats, FormatError> {
     read_noted(path).map(|read| read.splats)
 }
 
-/// As [`read`], with the pixel filter, and what could not be taken over: SH of degree 4, unknown extensions.
+/// Same as [`read`], with the pixel filter, and notes on what could not be represented: SH of degree 4, unknown
+/// extensions.
 ///
 /// # Errors
-/// As [`read`].
+/// Those of [`read`].
 pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
     parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
 }
@@ -92,7 +93,7 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
             Version::V3 => 3,
             Version::V4 => 4,
         },
-        // Beyond 2³² splats `encode` refuses.
+        // `encode` rejects more than 2³² splats.
         count: splats.len(),
         sh_degree: splats.sh_degree(),
         fractional_bits: packed::fractional_bits(splats.means()),
@@ -127,10 +128,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<NotedSplats, Fault> {
     Ok(NotedSplats::new(arrays.check()?, header.flags & ANTIALIASED != 0, notes))
 }
 
-/// Splats that are packed as one task.
+/// Number of splats packed as one task.
 const BLOCK: usize = 1 << 14;
 
-/// What a block of splats adds to the attributes' streams, and what a reader of it will miss.
+/// Stream bytes of a block of splats, and the error that a reader will see.
 fn pack(header: &Header, splats: &Splats, sh_bits: [u32; 2], block: usize) -> ([Vec<u8>; STREAMS], SplatError) {
     let frame = Frame::default();
     let (mut streams, mut error) = ([const { Vec::new() }; STREAMS], SplatError::default());

@@ -1,4 +1,4 @@
-//! One splat in the streams of SPZ, in the file's own frame.
+//! Coding of one splat in the streams of SPZ, in the file's own frame.
 
 use glam::{Quat, Vec3};
 
@@ -6,14 +6,15 @@ use super::container::{Header, STREAMS};
 use crate::format::splat_record::{SplatRecord, logit_of_byte, opacity_byte};
 use crate::scene::sh;
 
-/// Factor of SH coefficient 0: wider than the display's range, for colours that the higher bands bring back into it.
+/// Factor of SH coefficient 0: covers more than the display's range, for colours that the higher bands bring back into
+/// it.
 const COLOR_SCALE: f32 = 0.15;
 
 /// Largest magnitude of a 24-bit mean.
 const MEAN_LIMIT: f64 = 8_388_607.0;
 
-/// Bits behind the point: 12 as in the format's own library, more where the scene is small (a step is at most 2⁻¹⁶ of the
-/// greatest coordinate), fewer where it would not fit.
+/// Number of fractional bits: 12 as in the format's own library, more for small scenes (a step is at most 2⁻¹⁶ of the
+/// greatest coordinate), fewer if values would not fit.
 pub(super) fn fractional_bits(means: &[Vec3]) -> u8 {
     let greatest = f64::from(means.iter().map(|m| m.abs().max_element()).fold(0.0, f32::max));
     if greatest == 0.0 {
@@ -25,14 +26,14 @@ pub(super) fn fractional_bits(means: &[Vec3]) -> u8 {
     wanted.min(fitting).clamp(0.0, 24.0) as u8
 }
 
-/// Splat `i` of streams that hold at least `i + 1`.
+/// Decodes splat `i` of streams that hold at least `i + 1`.
 pub(super) fn decode(header: &Header, streams: [&[u8]; STREAMS], i: usize) -> SplatRecord {
     let [means, opacities, colors, scales, rotations, bands] = streams;
     let three = |stream: &[u8]| [stream[3 * i], stream[3 * i + 1], stream[3 * i + 2]];
     let step = (-f64::from(header.fractional_bits)).exp2();
     let mean = [0, 1, 2].map(|axis| {
         let at = 9 * i + 3 * axis;
-        // The sign is that of the highest byte.
+        // The highest byte carries the sign.
         let fixed = i32::from_le_bytes([0, means[at], means[at + 1], means[at + 2]]) >> 8;
         (f64::from(fixed) * step) as f32
     });
@@ -57,7 +58,7 @@ pub(super) fn decode(header: &Header, streams: [&[u8]; STREAMS], i: usize) -> Sp
     }
 }
 
-/// Appends a splat to the streams. `sh_bits` as in [`super::Options`].
+/// Appends a splat to the streams; `sh_bits` as in [`super::Options`].
 pub(super) fn encode(header: &Header, sh_bits: [u32; 2], splat: &SplatRecord, streams: &mut [Vec<u8>; STREAMS]) {
     let [means, opacities, colors, scales, rotations, bands] = streams;
     for v in splat.mean.to_array() {
@@ -78,7 +79,7 @@ pub(super) fn encode(header: &Header, sh_bits: [u32; 2], splat: &SplatRecord, st
     }
 }
 
-/// The multiple of `step` nearest to 128·(c + 1), in a byte. 128, which stands for 0, is one of them.
+/// Byte of a coefficient: the multiple of `step` nearest to 128·(c + 1). 128, which represents 0, is such a multiple.
 fn coefficient_byte(c: f32, step: u32) -> u8 {
     let step = step as f32;
     // A cast of a float to u8 saturates.
@@ -95,13 +96,13 @@ fn decode_first_three(bytes: [u8; 3]) -> Quat {
     Quat::from_xyzw(x, y, z, (1.0 - x * x - y * y - z * z).max(0.0).sqrt())
 }
 
-/// From the top: 2 bits for the index of the largest component, then for each of the others, in order, a sign and 9 bits of
-/// magnitude, of which all stand for √½.
+/// Encodes a rotation, from the top: 2 bits for the index of the largest component, then for each of the others, in
+/// order, a sign and 9 bits of magnitude, whose maximum represents √½.
 fn encode_smallest_three(q: Quat) -> [u8; 4] {
     let q = q.to_array();
     let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
     let others = (0..4).filter(|&i| i != largest).map(|i| {
-        // The largest is made positive, which its index need not say.
+        // The largest component is made positive, so its sign need not be stored.
         let negative = (q[i] < 0.0) != (q[largest] < 0.0);
         let magnitude = (511.0 * std::f32::consts::SQRT_2 * q[i].abs()).round().min(511.0);
         u32::from(negative) << 9 | magnitude as u32

@@ -1,5 +1,5 @@
-//! Whether arrays of meshes and splats have as many values as their interpolation asks for. Readers stop at the ones that
-//! they use and cut or ignore the others.
+//! Check of whether arrays of meshes and splats have as many values as their interpolation requires. Readers stop at
+//! those that they use, and truncate or ignore the others.
 
 use std::collections::HashMap;
 
@@ -10,17 +10,17 @@ use super::stage::Stage;
 use super::to_scene::SPLATS;
 use crate::format::error::Fault;
 
-/// What `UsdGeomPrimvar` knows.
+/// Interpolations of `UsdGeomPrimvar`.
 const INTERPOLATIONS: [&str; 5] = ["constant", "uniform", "varying", "vertex", "faceVarying"];
 
-/// Attributes beside the positions of a mesh, of which there is one per point unless they say otherwise.
+/// Per-point attributes of a mesh besides positions, unless they state another interpolation.
 const OF_POINTS: [&str; 3] = ["normals", "velocities", "accelerations"];
 
-/// Attributes of splats, in single precision or, with an `h`, in half.
+/// Attributes of splats, in single precision or, with suffix `h`, in half precision.
 const OF_SPLATS: [&str; 3] = ["orientations", "scales", "opacities"];
 const HARMONICS: &str = "radiance:sphericalHarmonicsCoefficients";
 
-/// How many elements a prim has of what values can be given for; `None` where nobody says, or their number changes over time.
+/// Numbers of a prim's elements for which values can be given; `None` if unknown or varying over time.
 struct Sizes {
     points: Option<usize>,
     faces: Option<usize>,
@@ -38,7 +38,7 @@ impl Sizes {
     }
 }
 
-/// What is wrong with the arrays of a prim, at most once for each.
+/// Reports faults of the arrays of a prim, at most one per array.
 pub(super) fn check(stage: &Stage<'_>, prim: usize, breaches: &mut Vec<Breach>) {
     let here = stage.prims[prim];
     let is_mesh = here.type_name == "Mesh";
@@ -47,7 +47,7 @@ pub(super) fn check(stage: &Stage<'_>, prim: usize, breaches: &mut Vec<Breach>) 
     }
     let points = if is_mesh { count(here, "points") } else { either(here, "positions").and_then(count_of) };
     let sizes = Sizes { points, faces: count(here, "faceVertexCounts"), corners: count(here, "faceVertexIndices") };
-    // Found by name for each: there can be many.
+    // Looked up by name for each attribute, of which there can be many.
     let named: HashMap<&str, &Property> = here.properties.iter().map(|p| (p.name.as_str(), p)).collect();
     for property in &here.properties {
         let name = property.name.as_str();
@@ -71,7 +71,7 @@ pub(super) fn check(stage: &Stage<'_>, prim: usize, breaches: &mut Vec<Breach>) 
     }
 }
 
-/// One that is interpolated, with or without indices.
+/// Checks a primvar, with or without indices.
 fn primvar(
     stage: &Stage<'_>,
     prim: usize,
@@ -101,12 +101,12 @@ fn primvar(
     };
     let expected = expected.saturating_mul(each);
     let says = format!("{expected} values for interpolation {interpolation}");
-    // Arrays that are the same everywhere are allowed; few mean them.
+    // Constant arrays are allowed, but rarely intended.
     let is_error = interpolation != "constant";
     (found != expected).then(|| Breach { is_error, ..breach(stage, prim, at, says, &found) })
 }
 
-/// The first index that is none of `count` elements.
+/// First index that is not less than `count`.
 fn outside(indices: &Property, count: usize) -> Option<i64> {
     let of_value = |value: &Value| match value {
         Value::Integers(all) => all.iter().copied().find(|&i| !usize::try_from(i).is_ok_and(|i| i < count)),
@@ -120,7 +120,7 @@ fn breach(stage: &Stage<'_>, prim: usize, name: &str, expected: String, found: &
     Breach { code: "USD_COUNT", is_error: true, fault }
 }
 
-/// An attribute in single precision, else in half.
+/// Attribute in single precision, else in half precision.
 fn either<'a>(prim: &'a Prim, name: &str) -> Option<&'a Property> {
     prim.property(name).or_else(|| prim.property(&format!("{name}h")))
 }
@@ -129,7 +129,7 @@ fn count(prim: &Prim, name: &str) -> Option<usize> {
     prim.property(name).and_then(count_of)
 }
 
-/// Elements of an array that has as many at all times.
+/// Number of elements of an array, if it is the same at all times.
 fn count_of(property: &Property) -> Option<usize> {
     let PropertyKind::Attribute { type_name, .. } = &property.kind else { return None };
     let elements = |value: &Value| {
@@ -147,7 +147,7 @@ fn count_of(property: &Property) -> Option<usize> {
     counts.all(|other| other == Some(first)).then_some(first).filter(|_| type_name.ends_with("[]"))
 }
 
-/// The value of an attribute, and those of its samples.
+/// Value of an attribute, and those of its samples.
 fn values(property: &Property) -> impl Iterator<Item = &Value> {
     let (value, samples) = match &property.kind {
         PropertyKind::Attribute { value, samples, .. } => (value.as_ref(), &samples[..]),

@@ -1,4 +1,4 @@
-//! A USD layer as plain data: what a `.usda` says, before it means anything.
+//! USD layer as plain data: the syntactic content of a `.usda`, not yet interpreted.
 
 use std::borrow::Cow;
 
@@ -6,14 +6,14 @@ use glam::{DMat4, DQuat};
 
 use crate::format::placed::similarity;
 
-/// A layer: everything in one file.
+/// Layer: the content of one file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Layer {
     pub(super) metadata: Vec<Field>,
     pub(super) prims: Vec<Prim>,
 }
 
-/// An entry of metadata: `upAxis = "Y"`, `prepend apiSchemas = ["MaterialBindingAPI"]`.
+/// Metadata entry: `upAxis = "Y"`, `prepend apiSchemas = ["MaterialBindingAPI"]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Field {
     pub(super) edit: Option<ListEdit>,
@@ -21,7 +21,7 @@ pub(super) struct Field {
     pub(super) value: Value,
 }
 
-/// How a list changes that of weaker layers.
+/// Edit that a list applies to that of weaker layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ListEdit {
     Prepend,
@@ -45,7 +45,7 @@ impl ListEdit {
     }
 }
 
-/// What a prim's opinion is for.
+/// Specifier of a prim.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Specifier {
     #[default]
@@ -66,11 +66,11 @@ impl Specifier {
     }
 }
 
-/// A prim, its properties and the prims below it.
+/// Prim with its properties and children.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Prim {
     pub(super) specifier: Specifier,
-    /// `Mesh`; empty where none is stated.
+    /// Type name, such as `Mesh`; empty if none is stated.
     pub(super) type_name: String,
     pub(super) name: String,
     pub(super) metadata: Vec<Field>,
@@ -79,7 +79,8 @@ pub(super) struct Prim {
     pub(super) variants: Vec<Variant>,
 }
 
-/// What a prim holds besides while `set` is at `name`. Has neither specifier, type nor name of its own.
+/// Additional content of a prim while the variant set `set` has the selection `name`. Has no specifier, type or name of
+/// its own.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Variant {
     pub(super) set: String,
@@ -87,7 +88,7 @@ pub(super) struct Variant {
     pub(super) content: Prim,
 }
 
-/// An attribute or a relationship.
+/// Attribute or relationship.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Property {
     pub(super) name: String,
@@ -100,7 +101,7 @@ pub(super) struct Property {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum PropertyKind {
     Attribute {
-        /// With `[]` if it is an array: `point3f[]`.
+        /// Type name, with `[]` for arrays: `point3f[]`.
         type_name: String,
         value: Option<Value>,
         /// Values by time code, in the file's order.
@@ -112,33 +113,33 @@ pub(super) enum PropertyKind {
     },
 }
 
-/// A value. Those of attributes with a numeric type are flat: `[(1, 2, 3)]` of `point3f[]` is `Floats([1, 2, 3])`.
+/// Value. Those of attributes with a numeric type are flat: `[(1, 2, 3)]` of `point3f[]` is `Floats([1, 2, 3])`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Value {
-    /// `None`: takes away the value of weaker layers.
+    /// `None`: blocks the value of weaker layers.
     Blocked,
-    /// Of half and single precision.
+    /// Numbers of half or single precision.
     Floats(Vec<f32>),
-    /// Of double precision.
+    /// Numbers of double precision.
     Doubles(Vec<f64>),
-    /// Of booleans and integers of any size.
+    /// Booleans, and integers of any size.
     Integers(Vec<i64>),
-    /// A number where no type is stated, in metadata.
+    /// Number without a stated type, in metadata.
     Number(f64),
-    /// Strings and tokens.
+    /// String or token.
     Text(String),
-    /// `@path@`.
+    /// Asset path, `@path@`.
     Asset(String),
-    /// `@path@</prim>`: a reference or payload.
+    /// Reference or payload, `@path@</prim>`.
     Reference(String, String),
-    /// `</prim.property>`.
+    /// Path of a prim or property, `</prim.property>`.
     Path(String),
     List(Vec<Value>),
     Tuple(Vec<Value>),
     Dictionary(Vec<Entry>),
 }
 
-/// `double3 key = (1, 2, 3)` in a dictionary. The type is empty where the dictionary is a map of paths.
+/// Entry of a dictionary, `double3 key = (1, 2, 3)`. The type is empty where the dictionary is a map of paths.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Entry {
     pub(super) type_name: String,
@@ -146,7 +147,7 @@ pub(super) struct Entry {
     pub(super) value: Value,
 }
 
-/// What numbers a type is made of.
+/// Number type of a numeric type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
     Float,
@@ -163,7 +164,7 @@ pub(super) struct Numeric {
 }
 
 impl Numeric {
-    /// Of a type name, with or without `[]`; `None` for strings, assets, dictionaries and what is unknown.
+    /// Parses a type name, with or without `[]`; `None` for strings, assets, dictionaries and unknown types.
     pub(super) fn of(type_name: &str) -> Option<Self> {
         let name = type_name.strip_suffix("[]").unwrap_or(type_name);
         let vector = |scalar, columns| Some(Self { scalar, rows: 1, columns });
@@ -176,7 +177,7 @@ impl Numeric {
             "int4" => return vector(Scalar::Integer, 4),
             _ => {}
         }
-        // `half3` and `float3` end in their size, `point3f` in size and precision.
+        // Names such as `half3` and `float3` end in their size, `point3f` in size and precision.
         for (prefix, scalar) in [("half", Scalar::Float), ("float", Scalar::Float), ("double", Scalar::Double)] {
             if let Some(size) = name.strip_prefix(prefix) {
                 return vector(scalar, size_of(size).filter(|n| (2..=4).contains(n))?);
@@ -202,7 +203,7 @@ impl Numeric {
         }
     }
 
-    /// Numbers per element.
+    /// Number of numbers per element.
     pub(super) fn width(self) -> usize {
         self.rows * self.columns
     }
@@ -214,7 +215,7 @@ fn size_of(digit: &str) -> Option<usize> {
 }
 
 impl Layer {
-    /// Puts time samples in the order of their times, as [`Prim::value_at`] needs them.
+    /// Sorts time samples by time, as [`Prim::value_at`] requires.
     pub(super) fn sort_samples(&mut self) {
         let mut prims: Vec<&mut Prim> = self.prims.iter_mut().collect();
         while let Some(prim) = prims.pop() {
@@ -241,17 +242,17 @@ impl Prim {
         Self { type_name: type_name.to_owned(), name: name.to_owned(), ..Self::default() }
     }
 
-    /// Adds an attribute that the prim's schema knows.
+    /// Adds an attribute defined by the prim's schema.
     pub(super) fn set(&mut self, type_name: &str, name: &str, value: Value) -> &mut Property {
         self.add(type_name, name, Some(value), None)
     }
 
-    /// As [`Self::set`], of one that does not vary over time.
+    /// Same as [`Self::set`], for an attribute that does not vary over time.
     pub(super) fn set_uniform(&mut self, type_name: &str, name: &str, value: Value) {
         self.set(type_name, name, value).uniform = true;
     }
 
-    /// Adds an attribute that no schema knows.
+    /// Adds an attribute that no schema defines.
     pub(super) fn set_custom(&mut self, type_name: &str, name: &str, value: Value) {
         self.set(type_name, name, value).custom = true;
     }
@@ -261,7 +262,7 @@ impl Prim {
         self.add(type_name, name, None, None);
     }
 
-    /// Adds an attribute that takes its value from another.
+    /// Adds an attribute connected to another one as its source.
     pub(super) fn connect(&mut self, type_name: &str, name: &str, source: String) {
         self.add(type_name, name, None, Some((None, vec![source])));
     }
@@ -284,7 +285,7 @@ impl Prim {
         self.properties.push(Property { name: name.to_owned(), custom: false, uniform: false, kind, metadata: vec![] });
     }
 
-    /// Applies a schema besides that of the type.
+    /// Applies an API schema in addition to the type's schema.
     pub(super) fn apply(&mut self, schema: &str) {
         let value = Value::List(vec![Value::Text(schema.to_owned())]);
         self.metadata.push(Field { edit: Some(ListEdit::Prepend), name: "apiSchemas".to_owned(), value });
@@ -294,15 +295,15 @@ impl Prim {
         self.properties.iter().find(|p| p.name == name)
     }
 
-    /// The value of an attribute; of an animated one without a default, the first sample. `None` if there is none, or it
-    /// is blocked.
+    /// Value of an attribute; of an animated one without a default, the first sample. `None` if there is no value, or
+    /// it is blocked.
     pub(super) fn value(&self, name: &str) -> Option<&Value> {
         let PropertyKind::Attribute { value, samples, .. } = &self.property(name)?.kind else { return None };
         let first = || samples.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, value)| value);
         value.as_ref().or_else(first).filter(|v| **v != Value::Blocked)
     }
 
-    /// Values of an attribute by time code.
+    /// Time samples of an attribute.
     pub(super) fn samples(&self, name: &str) -> &[(f64, Value)] {
         match self.property(name).map(|p| &p.kind) {
             Some(PropertyKind::Attribute { samples, .. }) => samples,
@@ -310,8 +311,8 @@ impl Prim {
         }
     }
 
-    /// The value of an attribute at a time code, samples being sorted: held before the first and after the last, between
-    /// two linear where it is of numbers, along the shorter arc where these are rotations.
+    /// Value of an attribute at a time code, given sorted samples: held before the first and after the last; between
+    /// two samples, interpolated linearly if numeric, along the shorter arc for rotations.
     pub(super) fn value_at(&self, name: &str, time: f64) -> Option<Cow<'_, Value>> {
         let PropertyKind::Attribute { type_name, samples, .. } = &self.property(name)?.kind else { return None };
         let after = samples.partition_point(|(at, _)| *at <= time);
@@ -325,7 +326,7 @@ impl Prim {
         Some(found).filter(|v| **v != Value::Blocked)
     }
 
-    /// Where an attribute takes its value from.
+    /// Source to which an attribute is connected.
     pub(super) fn connection(&self, name: &str) -> Option<&str> {
         let PropertyKind::Attribute { connections, .. } = &self.property(name)?.kind else { return None };
         connections.as_ref()?.1.first().map(String::as_str)
@@ -338,7 +339,7 @@ impl Prim {
     }
 }
 
-/// A value from `first`, at u = 0, to `second`, at 1; `first` throughout where there is nothing between them.
+/// Interpolates from `first`, at u = 0, to `second`, at u = 1; returns `first` where values cannot be interpolated.
 fn between<'a>(type_name: &str, first: &'a Value, second: &Value, u: f64) -> Cow<'a, Value> {
     let (Some(a), Some(b)) = (first.as_numbers(), second.as_numbers()) else { return Cow::Borrowed(first) };
     if u == 0.0 || a.len() != b.len() || matches!(first, Value::Integers(_)) {
@@ -351,7 +352,8 @@ fn between<'a>(type_name: &str, first: &'a Value, second: &Value, u: f64) -> Cow
             let q = DQuat::from_xyzw(x, y, z, w).slerp(DQuat::from_xyzw(x1, y1, z1, w1), u);
             vec![q.w, q.x, q.y, q.z]
         }
-        // USD blends entries, which would shrink what turns; a camera that is turned stays a camera.
+        // USD interpolates matrix entries, which would shrink rotating objects; interpolating the similarity keeps a
+        // camera valid.
         ("matrix4d", a, b) => match (matrix(a).and_then(similarity), matrix(b).and_then(similarity)) {
             (Some(a), Some(b)) => {
                 let scale = glam::DVec3::splat(a.scale + (b.scale - a.scale) * u);
@@ -378,7 +380,7 @@ impl Value {
         Self::Text(text.to_owned())
     }
 
-    /// Its string, token, asset or path.
+    /// String, token, asset or path of the value.
     pub(super) fn as_text(&self) -> Option<&str> {
         match self {
             Self::Text(text) | Self::Asset(text) | Self::Path(text) => Some(text),
@@ -386,7 +388,7 @@ impl Value {
         }
     }
 
-    /// Its first number.
+    /// First number of the value.
     pub(super) fn as_number(&self) -> Option<f64> {
         match self {
             Self::Number(n) => Some(*n),
@@ -397,7 +399,7 @@ impl Value {
         }
     }
 
-    /// All its numbers.
+    /// All numbers of the value.
     pub(super) fn as_numbers(&self) -> Option<Vec<f64>> {
         match self {
             Self::Number(n) => Some(vec![*n]),

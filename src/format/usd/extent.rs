@@ -1,5 +1,5 @@
-//! Whether the extents that meshes and splats state hold them. Renderers cull by extents, so that one that is too small hides what it
-//! leaves out; readers of scenes have no use for them.
+//! Check of whether the stated extents of meshes and splats contain them. Renderers cull by extents, so too small ones
+//! hide geometry; scene readers do not use them.
 
 use glam::DVec3;
 
@@ -9,19 +9,19 @@ use super::stage::Stage;
 use super::to_scene::SPLATS;
 use crate::format::error::Fault;
 
-/// Bounds are rounded, by some programs from double precision and by way of a transform: a part of the size, and of the distance from
-/// the origin, where single precision is coarser.
+/// Tolerances for rounded bounds, which some programs compute in double precision and via a transform: relative to the
+/// size, and to the distance from the origin, where single precision is coarser.
 const ROUNDING: [f64; 2] = [1e-4, 1e-6];
 
-/// What may be too large, as a part of the size.
+/// Tolerated excess of an extent, relative to its size.
 const SLACK: f64 = 0.01;
 
-/// Standard deviations after which no program draws anything of a splat: ours and the schema's usual end is 3.
+/// Standard deviations beyond which no program draws a splat: our limit and the schema's default is 3.
 const REACH: f64 = 5.0;
 
 type Box3 = [DVec3; 2];
 
-/// What is wrong with the extent of a prim: at its default, or else at the first time at which it has one of its own.
+/// Fault of a prim's extent: of its default, or else of the first time sample with an extent of its own.
 pub(super) fn check(stage: &Stage<'_>, prim: usize) -> Option<Breach> {
     let here = stage.prims[prim];
     let positions = match here.type_name.as_str() {
@@ -34,7 +34,7 @@ pub(super) fn check(stage: &Stage<'_>, prim: usize) -> Option<Breach> {
         let fault = Fault::pointer(format!("{}.extent", stage.path(prim)), expected, found);
         Some(Breach { code: "USD_EXTENT", is_error, fault })
     };
-    // Skins and targets move points beyond where they rest.
+    // Skins and morph targets move points beyond their rest positions.
     let is_moved = here.properties.iter().any(|p| p.name.starts_with("skel:") || p.name.starts_with("primvars:skel:"));
     for (extent, points) in pairs(stage, prim, positions) {
         let Some(bounds) = bounds(points) else { continue };
@@ -60,7 +60,7 @@ pub(super) fn check(stage: &Stage<'_>, prim: usize) -> Option<Breach> {
     None
 }
 
-/// Extents with the positions of the same time.
+/// Extents paired with the positions at the same time.
 fn pairs<'a>(stage: &Stage<'a>, prim: usize, positions: &str) -> Vec<(&'a Value, &'a Value)> {
     let here = stage.prims[prim];
     let parts = |name: &str| match here.property(name).map(|p| &p.kind) {
@@ -69,13 +69,13 @@ fn pairs<'a>(stage: &Stage<'a>, prim: usize, positions: &str) -> Vec<(&'a Value,
     };
     let ((extent, extents), (points, moved)) = (parts("extent"), parts(positions));
     let times: std::collections::HashMap<u64, &Value> = moved.iter().map(|(at, value)| (at.to_bits(), value)).collect();
-    // What does not move is the same at all times.
+    // Static positions apply at all times.
     let at = |time: f64| times.get(&time.to_bits()).copied().or(points.filter(|_| moved.is_empty()));
     let sampled = extents.iter().filter_map(|(time, extent)| Some((extent, at(*time)?)));
     extent.zip(points).into_iter().chain(sampled).collect()
 }
 
-/// Rows of three numbers; `None` of what is none.
+/// Rows of three numbers; `None` for other values.
 fn rows(value: &Value) -> Option<Box<dyn ExactSizeIterator<Item = DVec3> + '_>> {
     match value {
         Value::Floats(all) => Some(Box::new(all.as_chunks::<3>().0.iter().map(|row| DVec3::from(row.map(f64::from))))),
@@ -84,10 +84,10 @@ fn rows(value: &Value) -> Option<Box<dyn ExactSizeIterator<Item = DVec3> + '_>> 
     }
 }
 
-/// The box around all rows; `None` if there are none, or numbers that are not finite, at which the reader stops.
+/// Bounding box of all rows; `None` if there are no rows, or non-finite numbers, at which the reader stops.
 fn bounds(points: &Value) -> Option<Box3> {
     let [low, high] = rows(points)?.map(|p| [p, p]).reduce(|a, b| {
-        // `min` and `max` would leave out what is no number.
+        // `min` and `max` would ignore NaN.
         let finite = a[0].is_finite() && b[0].is_finite();
         if finite { [a[0].min(b[0]), a[1].max(b[1])] } else { [DVec3::NAN; 2] }
     })?;
@@ -100,7 +100,7 @@ fn corners(extent: &Value) -> Option<Box3> {
     (rows.next().is_none() && low.cmple(high).all()).then_some([low, high])
 }
 
-/// The largest standard deviation of splats; `None` where they state none that is a number.
+/// Largest standard deviation of splats; `None` if none is a valid number.
 fn largest_scale(stage: &Stage<'_>, prim: usize) -> Option<f64> {
     let scales = stage.prims[prim].value("scales").or_else(|| stage.prims[prim].value("scalesh"))?;
     rows(scales)?.map(DVec3::max_element).reduce(f64::max)

@@ -1,27 +1,27 @@
-//! What others added to a layer beyond schemas, and a scene does not hold.
+//! Foreign content of a layer: additions outside schemas that a scene does not hold.
 
 use super::document::{Field, Value, field};
 use super::names;
 
-/// What programs put into every file of theirs, to say that it is theirs or how it looked in their window: entries of
-/// `customLayerData` and of `customData`.
+/// Entries of `customLayerData` and of `customData` that programs write into every file to identify themselves or to
+/// store their viewport.
 const SIGNATURES: [&str; 6] = ["creator", "cameraSettings", "omni_layer", "renderSettings", "Blender", "Maya"];
 
-/// What names of properties begin with that are no content: our own, and under which Blender says what things were called there.
+/// Prefixes of properties that are not content: our own, and those in which Blender stores original names.
 const SIGNED: [&str; 3] = [names::PREFIX, "userProperties:blender:", "userProperties:blenderName:"];
 
-/// What many names of schemas begin with.
+/// Common prefixes of property names defined by schemas.
 const OF_SCHEMAS: [&str; 8] =
     ["colorSpace:", "info:", "inputs:", "material:", "outputs:", "primvars:", "radiance:", "xformOp"];
 
-/// How many entries of the dictionary `name` are neither our own nor signatures.
+/// Number of entries of the dictionary `name` that are neither our own nor signatures.
 pub(super) fn entries(metadata: &[Field], name: &str) -> usize {
     let Some(Value::Dictionary(entries)) = field(metadata, name) else { return 0 };
     let says_more = |key: &str| key != names::RECORD && !SIGNATURES.contains(&key);
     entries.iter().filter(|entry| says_more(&entry.key)).count()
 }
 
-/// Whether a property that is marked as custom is: scripts without the schema at hand mark what it has, too.
+/// Whether a property marked as custom really is: scripts written without the schema mark the schema's properties, too.
 pub(super) fn is_property(name: &str) -> bool {
     !is_of_schema(name) && !SIGNED.iter().chain(&OF_SCHEMAS).any(|beginning| name.starts_with(beginning))
 }
@@ -30,7 +30,7 @@ pub(super) fn is_property(name: &str) -> bool {
 fn is_of_schema(name: &str) -> bool {
     matches!(
         name,
-        // Of anything, of meshes and their parts, of splats in single precision or half, of cameras.
+        // Properties of any prim, of meshes and their parts, of splats in single or half precision, of cameras.
         "extent" | "purpose" | "visibility"
             | "doubleSided" | "faceVertexCounts" | "faceVertexIndices" | "holeIndices" | "indices" | "normals" | "points"
             | "subdivisionScheme"

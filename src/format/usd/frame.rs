@@ -1,5 +1,5 @@
-//! Half a turn about x: between the capture's world, y down, and the file's, y up. Every value keeps its bits but the
-//! sign, so that the way back is exact.
+//! Half turn about x between the capture's world, y down, and the file's, y up. Every value keeps its bits except the
+//! sign, so that the inverse is exact.
 
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
@@ -11,17 +11,17 @@ pub(super) fn turned(p: Vec3) -> Vec3 {
     p * OPENGL_FROM_OPENCV.as_vec3()
 }
 
-/// i·q.
+/// Rotation i·q after the half turn.
 pub(super) fn turned_rotation(q: Quat) -> Quat {
     Quat::from_xyzw(q.w, -q.z, q.y, -q.x)
 }
 
-/// −i·q.
+/// Rotation −i·q, the inverse of [`turned_rotation`].
 fn turned_back(q: Quat) -> Quat {
     Quat::from_xyzw(-q.w, q.z, -q.y, q.x)
 }
 
-/// Maps of the higher bands.
+/// Turns the maps of the higher bands.
 pub(super) fn turned_map(bands: &Texture) -> Texture {
     let (channels, signs) = (bands.channels() as usize, sh_signs(OPENGL_FROM_OPENCV));
     let mut texels = bands.texels().to_vec();
@@ -32,7 +32,7 @@ pub(super) fn turned_map(bands: &Texture) -> Texture {
         .expect("values that were finite are so with another sign")
 }
 
-/// A scene in the file's world, in the capture's.
+/// Converts a scene from the file's world to the capture's.
 pub(super) fn back(scene: HybridScene) -> Result<HybridScene, SceneError> {
     let HybridScene { splats, meshes, composition } = scene;
     let (mut s, signs) = (splats.into_arrays(), sh_signs(OPENGL_FROM_OPENCV));

@@ -1,4 +1,4 @@
-//! A hybrid scene as a layer and the pictures beside it.
+//! Conversion of a hybrid scene to a layer and the images beside it.
 
 use glam::{DMat4, Mat3, Vec3};
 
@@ -8,16 +8,16 @@ use crate::format::activation;
 use crate::scene::frame::{HALF_TURN, OPENGL_FROM_OPENCV, node_of_camera, sh_signs};
 use crate::scene::{Camera, ColorSpace, Composition, HybridScene, Mesh, PixelFilter, Splats, sh};
 
-/// Width of the sensor that cameras are given, 36 mm: USD measures it in tenths of the layer's unit, a metre.
+/// Sensor width assigned to cameras, 36 mm: USD measures it in tenths of the layer's unit, a metre.
 const APERTURE: f64 = 0.36;
 
-/// A layer, and the files that it names.
+/// Layer, and the files to which it refers.
 pub(super) struct Export {
     pub(super) layer: Layer,
     pub(super) files: Vec<(String, Vec<u8>)>,
 }
 
-/// `prefix` begins the names of files. On failure: why a picture cannot be encoded.
+/// Converts a scene; `prefix` begins the names of files. On failure: the reason for which an image cannot be encoded.
 pub(super) fn export(
     scene: &HybridScene,
     cameras: &[(String, Camera)],
@@ -68,7 +68,7 @@ pub(super) fn export(
     Ok(Export { layer: Layer { metadata, prims: vec![root] }, files })
 }
 
-/// The rule of blending. No schema of USD has one.
+/// Writes the composition as custom attributes, because no USD schema has one.
 fn contract(root: &mut Prim, c: &Composition) {
     root.set_custom("token", names::FRAME, Value::text(names::CAPTURE));
     root.set_custom("token", names::MODE, Value::text(c.mode.name()));
@@ -123,7 +123,7 @@ fn splats(splats: &Splats, space: ColorSpace) -> Prim {
         .with("elementSize", Value::Number(k as f64))
         .with("interpolation", Value::text("vertex"));
     prim.set_uniform("token", "projectionModeHint", Value::text("perspective"));
-    // Centaur's order is by depth along the view's axis.
+    // Centaur sorts by depth along the view's axis.
     prim.set_uniform("token", "sortingModeHint", Value::text("zDepth"));
     let token = if space == ColorSpace::SrgbDisplay { names::SRGB } else { names::LINEAR };
     prim.set_uniform("token", "colorSpace:name", Value::text(token));
@@ -141,10 +141,10 @@ fn surface(mesh: &Mesh, name: &str, base: &str, bands: Option<&str>) -> Prim {
     prim.set("int[]", "faceVertexIndices", Value::Integers(indices.collect()));
     prim.set("point3f[]", "points", flat(points().map(|p| p.to_array())));
     let corners = || mesh.corner_uvs().as_flattened().iter().map(glam::Vec2::to_array);
-    // USD's origin is at the bottom left.
+    // USD's UV origin is at the bottom left.
     prim.set("texCoord2f[]", "primvars:st", flat(corners().map(|[u, v]| [u, 1.0 - v])))
         .with("interpolation", Value::text("faceVarying"));
-    // 1 − v rounds; that it can be undone to the bit takes v itself.
+    // 1 − v rounds; exact inversion requires v itself.
     prim.set_custom("float[]", names::EXACT_V, flat(corners().map(|[_, v]| [v])));
     prim.set_custom("asset", names::BASE_MAP, Value::Asset(format!("./{base}")));
     if let Some(bands) = bands {
@@ -155,7 +155,7 @@ fn surface(mesh: &Mesh, name: &str, base: &str, bands: Option<&str>) -> Prim {
     prim
 }
 
-/// Colour as emission, which no light changes, with opacity as coverage.
+/// Material with colour as emission, independent of lights, and opacity as coverage.
 fn material(name: &str, color: &str, opacity: &str) -> Prim {
     let path = format!("/{}/{}/{name}", names::ROOT, names::LOOKS);
     let mut material = Prim::new("Material", name);
@@ -166,7 +166,7 @@ fn material(name: &str, color: &str, opacity: &str) -> Prim {
     shader.set("color3f", "inputs:diffuseColor", Value::Floats(vec![0.0; 3]));
     shader.connect("color3f", "inputs:emissiveColor", format!("{path}/color.outputs:rgb"));
     shader.connect("float", "inputs:opacity", format!("{path}/opacity.outputs:r"));
-    // Without it, what is transparent would still reflect and emit.
+    // Without this mode, transparent parts would still reflect and emit.
     shader.set("token", "inputs:opacityMode", Value::text("presence"));
     shader.set("float", "inputs:roughness", Value::Floats(vec![1.0]));
     shader.set("color3f", "inputs:specularColor", Value::Floats(vec![0.0; 3]));
@@ -197,7 +197,7 @@ fn material(name: &str, color: &str, opacity: &str) -> Prim {
     material
 }
 
-/// A camera, whose prim has this name.
+/// Camera prim with this identifier.
 pub(super) fn view(name: &str, identifier: &str, camera: &Camera, near: f32) -> Prim {
     let mut prim = Prim::new("Camera", identifier);
     if name != identifier {

@@ -1,14 +1,14 @@
-//! The words of a `.usda`.
+//! Lexer of `.usda`.
 
 use crate::format::error::{Fault, Location};
 
-/// A place in the text of a layer.
+/// Position in the text of a layer.
 pub(super) struct Cursor<'a> {
     text: &'a str,
     at: usize,
 }
 
-/// Longest piece of the file that a message shows.
+/// Longest piece of the file shown in a message.
 const SHOWN: usize = 24;
 
 impl<'a> Cursor<'a> {
@@ -16,7 +16,7 @@ impl<'a> Cursor<'a> {
         Self { text, at: 0 }
     }
 
-    /// Expected `expected`, found what is here.
+    /// Fault at the current position: expected `expected`, found the text there.
     pub(super) fn fault(&self, expected: impl Into<String>) -> Fault {
         let rest = self.text.get(self.at..).unwrap_or_default();
         let end =
@@ -51,7 +51,7 @@ impl<'a> Cursor<'a> {
         self.text.as_bytes()[self.at..].iter().position(|&b| b == b'\n').map_or(self.text.len(), |i| self.at + i)
     }
 
-    /// Past blanks, line ends and comments.
+    /// Skips blanks, line ends and comments.
     pub(super) fn skip_space(&mut self) -> Result<(), Fault> {
         loop {
             match (self.byte(0), self.byte(1)) {
@@ -67,7 +67,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Past what lies between two statements.
+    /// Skips separators between two statements.
     pub(super) fn skip_separators(&mut self) -> Result<(), Fault> {
         self.skip_space()?;
         while self.byte(0) == Some(b';') {
@@ -77,20 +77,20 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// The next byte that is no space; not taken.
+    /// Next byte that is not white space, without consuming it.
     pub(super) fn peek(&mut self) -> Result<Option<u8>, Fault> {
         self.skip_space()?;
         Ok(self.byte(0))
     }
 
-    /// Takes `byte` if it comes next.
+    /// Consumes `byte` if it comes next.
     pub(super) fn eat(&mut self, byte: u8) -> Result<bool, Fault> {
         let is_next = self.peek()? == Some(byte);
         self.at += usize::from(is_next);
         Ok(is_next)
     }
 
-    /// Takes `byte` if it comes without a space.
+    /// Consumes `byte` if it follows without white space.
     pub(super) fn eat_adjacent(&mut self, byte: u8) -> bool {
         let is_next = self.byte(0) == Some(byte);
         self.at += usize::from(is_next);
@@ -101,7 +101,7 @@ impl<'a> Cursor<'a> {
         if self.eat(byte)? { Ok(()) } else { Err(self.fault(format!("`{}`", char::from(byte)))) }
     }
 
-    /// An identifier, with namespaces: `primvars:st`. Not taken by [`Self::peek_word`].
+    /// Next identifier, with namespaces: `primvars:st`; not consumed.
     pub(super) fn peek_word(&mut self) -> Result<Option<&'a str>, Fault> {
         self.skip_space()?;
         let bytes = &self.text.as_bytes()[self.at..];
@@ -114,14 +114,14 @@ impl<'a> Cursor<'a> {
         Ok(Some(&self.text[self.at..self.at + length]))
     }
 
-    /// Takes an identifier; `expected` says what for.
+    /// Consumes an identifier; `expected` describes it in the fault.
     pub(super) fn word(&mut self, expected: &str) -> Result<&'a str, Fault> {
         let word = self.peek_word()?.ok_or_else(|| self.fault(expected))?;
         self.at += word.len();
         Ok(word)
     }
 
-    /// What a number could be made of: digits, signs, a point, letters.
+    /// Text that may form a number: digits, signs, a point, letters.
     fn number_text(&mut self) -> Result<&'a str, Fault> {
         self.skip_space()?;
         let bytes = &self.text.as_bytes()[self.at..];
@@ -132,7 +132,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.text[self.at..self.at + length])
     }
 
-    /// A number, parsed straight to `T`, so that nothing is rounded twice.
+    /// Parses a number directly as `T`, so that nothing is rounded twice.
     pub(super) fn number<T: std::str::FromStr>(&mut self) -> Result<T, Fault> {
         let text = self.number_text()?;
         let value = text.parse().map_err(|_| self.fault("a number"))?;
@@ -140,7 +140,7 @@ impl<'a> Cursor<'a> {
         Ok(value)
     }
 
-    /// An integer; booleans may be words. Wholes written as decimals pass.
+    /// Parses an integer; booleans may be words. Whole numbers written as decimals are accepted.
     pub(super) fn integer(&mut self) -> Result<i64, Fault> {
         let text = self.number_text()?;
         let value = match text {
@@ -156,12 +156,12 @@ impl<'a> Cursor<'a> {
         Ok(value)
     }
 
-    /// True if a string comes next.
+    /// Whether a string comes next.
     pub(super) fn at_string(&mut self) -> Result<bool, Fault> {
         Ok(matches!(self.peek()?, Some(b'"' | b'\'')))
     }
 
-    /// A string in one of the four kinds of quotes.
+    /// Parses a string in one of the four kinds of quotes.
     pub(super) fn string(&mut self) -> Result<String, Fault> {
         let Some(quote @ (b'"' | b'\'')) = self.peek()? else { return Err(self.fault("a string")) };
         let start = self.at;
@@ -193,7 +193,7 @@ impl<'a> Cursor<'a> {
         String::from_utf8(bytes).map_err(|_| self.fault_at(start, "a string of UTF-8", "escapes that are not"))
     }
 
-    /// What follows a backslash.
+    /// Parses the escape sequence after a backslash.
     fn escape(&mut self, bytes: &mut Vec<u8>) -> Option<()> {
         let byte = self.byte(0)?;
         self.at += 1;
@@ -221,14 +221,14 @@ impl<'a> Cursor<'a> {
         Some(())
     }
 
-    /// `@path@` or `@@@path@@@`.
+    /// Parses an asset path, `@path@` or `@@@path@@@`.
     pub(super) fn asset(&mut self) -> Result<String, Fault> {
         let start = self.at;
         let rest = &self.text[self.at..];
         let unclosed = || self.fault_at(start, "an asset path that is closed by `@`", "one that is not");
         let (path, length) = if let Some(inner) = rest.strip_prefix("@@@") {
             let mut end = inner.find("@@@").ok_or_else(unclosed)?;
-            // `\@@@` stands for three of them.
+            // `\@@@` is an escaped `@@@`.
             while inner[..end].ends_with('\\') {
                 end += 3 + inner[end + 3..].find("@@@").ok_or_else(unclosed)?;
             }
@@ -242,7 +242,7 @@ impl<'a> Cursor<'a> {
         Ok(path)
     }
 
-    /// `</prim.property>`.
+    /// Parses a path, `</prim.property>`.
     pub(super) fn path(&mut self) -> Result<String, Fault> {
         self.expect(b'<')?;
         let rest = &self.text[self.at..];

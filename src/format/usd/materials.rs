@@ -1,4 +1,5 @@
-//! Materials to maps: exact ones from our own files, else what `UsdPreviewSurface` shows.
+//! Conversion of materials to maps: exact ones from our own files, otherwise the colour and opacity of
+//! `UsdPreviewSurface`.
 
 use glam::{Mat2, Vec2};
 use gltf::texture::WrappingMode;
@@ -15,45 +16,45 @@ use crate::format::gltf::{Texels, Unrolling, UvMap, decode};
 use crate::format::map_budget::{Identity, MapBudget};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
-/// What maps are read with.
+/// Context for reading maps.
 pub(super) struct Materials<'a> {
-    /// Where the files are.
+    /// Location of the files.
     pub(super) place: &'a mut Place,
-    /// The space that maps are blended in.
+    /// Colour space in which maps are blended.
     pub(super) space: ColorSpace,
-    /// For pictures that repeat.
+    /// Unrolling of repeated images.
     pub(super) unrolling: Unrolling,
-    /// Of the maps of all meshes.
+    /// Budget for the maps of all meshes.
     budget: MapBudget,
 }
 
-/// A value all over a surface: RGB, or one number three times.
+/// Value over a surface: RGB, or one number three times.
 struct Picture {
     width: u32,
     height: u32,
     texels: Vec<[f32; 3]>,
-    /// `None` if it is the same everywhere.
+    /// Texture coordinates; `None` if the value is constant.
     coordinates: Option<Coordinates>,
-    /// The file.
+    /// Identity of the encoded image.
     encoded: Option<Identity>,
 }
 
-/// Where on a picture a corner of a surface is.
+/// Texture coordinates of an image on a surface.
 #[derive(Clone, PartialEq)]
 pub(super) struct Coordinates {
     /// Primvar with the texture coordinates.
     pub(super) primvar: String,
-    /// What becomes of them, v downwards as elsewhere here.
+    /// Mapping of the coordinates, v downwards as everywhere in this crate.
     pub(super) map: UvMap,
 }
 
 impl Coordinates {
-    /// Those that textures use by default.
+    /// Default texture coordinates.
     fn plain() -> Self {
         Self { primvar: ST.to_owned(), map: UvMap::plain(0) }
     }
 
-    /// Those of a `UsdUVTexture`: a primvar, by way of any number of `UsdTransform2d`.
+    /// Texture coordinates of a `UsdUVTexture`: a primvar, via any number of `UsdTransform2d`.
     fn of(stage: &Stage<'_>, texture: usize) -> Self {
         let wrap = ["inputs:wrapS", "inputs:wrapT"].map(|name| match stage.text(texture, name) {
             Some("repeat") => WrappingMode::Repeat,
@@ -83,17 +84,17 @@ impl Coordinates {
             Some(Source::Value(name)) => name.as_text().unwrap_or(ST),
             _ => ST,
         };
-        // There v is upwards: turned over, changed, turned over again.
+        // USD has v upwards: flip, transform, flip back.
         let over = Mat2::from_diagonal(Vec2::new(1.0, -1.0));
         let transform = (over * linear * over, over * (linear * Vec2::Y + offset) + Vec2::Y);
         Self { primvar: primvar.to_owned(), map: UvMap::new(transform, wrap) }
     }
 }
 
-/// Most transforms of texture coordinates, one after the other.
+/// Upper bound on chained transforms of texture coordinates.
 const MOST_TRANSFORMS: usize = 16;
 
-/// Name of the primvar that textures use by default.
+/// Default primvar of texture coordinates.
 const ST: &str = "st";
 
 impl Picture {
@@ -101,14 +102,14 @@ impl Picture {
         Self { width: 1, height: 1, texels: vec![value], coordinates: None, encoded: None }
     }
 
-    /// The texel in the place of texel (x, y) of a picture of another size.
+    /// Texel at the place of texel (x, y) of an image of another size.
     fn at(&self, x: u32, y: u32, [width, height]: [u32; 2]) -> [f32; 3] {
         let scaled = |i: u32, from: u32, to: u32| (u64::from(i) * u64::from(to) / u64::from(from)) as usize;
         self.texels[scaled(y, height, self.height) * self.width as usize + scaled(x, width, self.width)]
     }
 }
 
-/// Inputs of a `UsdPreviewSurface`.
+/// Names of the inputs of a `UsdPreviewSurface`.
 const EMISSION: &str = "inputs:emissiveColor";
 const DIFFUSE: &str = "inputs:diffuseColor";
 
@@ -117,7 +118,7 @@ impl<'a> Materials<'a> {
         Self { place, space, unrolling: Unrolling::default(), budget: MapBudget::new(0) }
     }
 
-    /// The maps of a mesh, and how they lie on it.
+    /// Maps of a mesh, and their mapping to it.
     pub(super) fn atlas(
         &mut self,
         stage: &Stage<'_>,
@@ -150,7 +151,7 @@ impl<'a> Materials<'a> {
             Some(Source::Output { .. }) => true,
             Some(Source::Value(value)) => value.as_numbers().unwrap_or_default().iter().any(|&v| v > 0.0),
         };
-        // What glows in places has a picture of its colour, too.
+        // Surfaces that emit only in places, but have an image of their diffuse colour, are shown by that colour.
         let (input, what) = if emits && !is_picture(DIFFUSE) { (EMISSION, "emissive") } else { (DIFFUSE, "diffuse") };
         notes.push(format!("{path}: shown by its {what} colour alone, unlit"));
         let color = self.picture(stage, shader, input, [0.18; 3], true, notes)?;
@@ -166,7 +167,7 @@ impl<'a> Materials<'a> {
         Ok((atlas, color.coordinates.or(opacity.coordinates).unwrap_or_else(Coordinates::plain)))
     }
 
-    /// The maps with all their bits, if the mesh names them.
+    /// Exact maps, if the mesh refers to them.
     fn exact(&mut self, stage: &Stage<'_>, mesh: usize) -> Option<Result<Atlas, Fault>> {
         let base = stage.text(mesh, names::BASE_MAP)?;
         let bands = stage.text(mesh, names::BANDS_MAP);
@@ -186,7 +187,7 @@ impl<'a> Materials<'a> {
         Some(atlas())
     }
 
-    /// Maps of degree 0, as large as the larger of both, of a prim at `at`.
+    /// Maps of degree 0 at the larger of both sizes, for a prim at `at`.
     fn joined(&mut self, color: &Picture, opacity: &Picture, at: &str) -> Result<Atlas, Fault> {
         let size @ [width, height] = [color.width.max(opacity.width), color.height.max(opacity.height)];
         let pixels = u64::from(width) * u64::from(height);
@@ -200,8 +201,8 @@ impl<'a> Materials<'a> {
         Ok(Atlas::new(Texture::new(width, height, 4, (0..pixels).flat_map(texel).collect())?, None)?)
     }
 
-    /// An input of a shader as it is shown: a colour in the space of blending, or a number. In the place of a picture that cannot be had is, with
-    /// a note, what the texture has for that, or the default.
+    /// Displayed value of a shader input: a colour in the blending space, or a number. An unavailable image is
+    /// replaced, with a note, by the texture's fallback or the default.
     fn picture(
         &mut self,
         stage: &Stage<'_>,
@@ -253,7 +254,7 @@ impl<'a> Materials<'a> {
             }
         };
         let Texels { width, height, rgba, is_srgb_by_custom, encoded: identity } = texels;
-        // `auto` is sRGB for pictures of 8 bits in colour; alpha is linear always.
+        // `auto` means sRGB for 8-bit colour images; alpha is always linear.
         let stated = stage.text(texture, "inputs:sourceColorSpace").unwrap_or("auto");
         let is_srgb = stated == "sRGB" || stated == "auto" && is_color && is_srgb_by_custom;
         let [scale, bias] = [("inputs:scale", 1.0), ("inputs:bias", 0.0)]
@@ -281,13 +282,13 @@ impl<'a> Materials<'a> {
     }
 }
 
-/// What keeps the maps that a mesh names from being read, its material being shown in their place.
+/// Fault that prevents reading the maps to which a mesh refers; its material is then shown instead.
 pub(super) fn check(stage: &Stage<'_>, mesh: usize, materials: &mut Materials<'_>) -> Option<Breach> {
     let fault = materials.exact(stage, mesh)?.err()?;
     Some(Breach { code: "USD_MAP", is_error: true, fault })
 }
 
-/// The shader at the surface output of a material.
+/// Shader connected to the surface output of a material.
 fn preview_surface(stage: &Stage<'_>, material: usize) -> Option<usize> {
     let Some(Source::Output { prim, .. }) = stage.input(material, "outputs:surface") else { return None };
     (stage.text(prim, "info:id") == Some("UsdPreviewSurface")).then_some(prim)

@@ -1,16 +1,16 @@
-//! OpenUSD: `.usda`, a layer as text, `.usdz`, a package of a layer and its pictures, and `.usdc`, a layer in binary, which
+//! OpenUSD: `.usda`, a layer as text; `.usdz`, a package of a layer and its images; and `.usdc`, a binary layer, which
 //! is read only.
 //!
 //! * Splats are a `ParticleField3DGaussianSplat` (OpenUSD ≥ 26.3): linear scales and opacities, SH in the order of
 //!   `scene::sh::basis`, sorted by depth.
-//! * Meshes are `UsdGeomMesh` with UVs per corner and a `UsdPreviewSurface` whose emission and opacity show the maps without
-//!   view dependence in 8 bits. The maps themselves lie beside them as EXR of 32-bit floats (`centaur:baseMap`,
-//!   `centaur:bandsMap`).
-//! * Cameras are `UsdGeomCamera`; a principal point off the centre is an aperture offset.
-//! * The rule of blending stands in attributes `centaur:*` of the default prim.
-//! * What is known of the training is JSON in the string `centaur` of `customLayerData`.
+//! * Meshes are `UsdGeomMesh` with UVs per corner and a `UsdPreviewSurface` whose emission and opacity show the maps
+//!   without view dependence in 8 bits. The maps themselves are stored beside the layer as EXR of 32-bit floats
+//!   (`centaur:baseMap`, `centaur:bandsMap`).
+//! * Cameras are `UsdGeomCamera`; an off-centre principal point is an aperture offset.
+//! * The composition is stored in attributes `centaur:*` of the default prim.
+//! * The training record is JSON in the string `centaur` of `customLayerData`.
 //!
-//! Files are y up, a capture's world being turned by half a turn about x, SH and maps included.
+//! Files are y up: a capture's world is rotated by half a turn about x, including SH and maps.
 //!
 //! ```text
 //! file ──→ package ──→ lex, parse ──→ document ──→ stage, xform, to_scene (splats, surfaces, materials, views) ──→ scene
@@ -62,8 +62,8 @@ use crate::scene::{Camera, ColorSpace, HybridScene};
 /// notes.
 ///
 /// # Errors
-/// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that flattens them,
-/// values that are not finite).
+/// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that flattens
+/// them, non-finite values).
 pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
     let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
@@ -71,19 +71,19 @@ pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
     scene.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
-/// A rule of USD that a layer breaks.
+/// Violation of a USD rule by a layer.
 pub(super) struct Breach {
-    /// Name of the rule, for scripts.
+    /// Code of the rule, for scripts.
     pub(super) code: &'static str,
-    /// False where it is allowed and hardly meant.
+    /// Whether the rule is mandatory; false for content that is allowed but rarely intended.
     pub(super) is_error: bool,
     pub(super) fault: Fault,
 }
 
-/// Everything that is wrong with a file: what its reader stops at, if anything, and what readers put up with.
+/// All faults of a file: the one at which its reader stops, if any, and those that readers tolerate.
 ///
 /// # Errors
-/// If it cannot be read, or is no layer nor a package of one.
+/// If the file cannot be read, or is neither a layer nor a package of one.
 pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
     let mut found = vec![];
@@ -92,7 +92,7 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
         Ok(layer) => {
             let stage = Stage::new(&layer);
             let mut materials = Materials::new(&mut place, ColorSpace::default());
-            // Others than definitions leave parts to what they are over.
+            // Prims other than definitions may rely on the prims that they override.
             for prim in (0..stage.prims.len()).filter(|&i| stage.prims[i].specifier == Specifier::Def) {
                 counts::check(&stage, prim, &mut found);
                 found.extend(extent::check(&stage, prim));
@@ -101,7 +101,7 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
             to_scene::scene(&layer, &mut place).err()
         }
     };
-    // Once where both stop at it.
+    // Reported once if both checks find the same fault.
     if let Some(fault) = stopped.filter(|fault| !found.iter().any(|breach| breach.fault.location() == fault.location()))
     {
         found.insert(0, Breach { code: "CONTENT", is_error: true, fault });
@@ -110,7 +110,8 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
     Ok(found)
 }
 
-/// Length of the files beside a layer that its properties name, see [`super::stored_bytes`]; a package has none.
+/// Total length of the files beside a layer to which its properties refer, see [`super::stored_bytes`]; 0 for a
+/// package.
 pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     let Opened { layer, place, .. } = package::open(path)?;
     let Place::Folder(folder) = place else { return Ok(0) };
@@ -118,7 +119,7 @@ pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     Ok(package::bytes_of_files(Stage::new(&layer).assets(), &folder))
 }
 
-/// A layer of either form.
+/// Parses a layer in text or binary form.
 #[expect(clippy::needless_pass_by_value, reason = "large, and of no use any more")]
 fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
     if layer.starts_with(binary::MAGIC) { binary::parse(&layer) } else { parse::parse(&layer) }
@@ -128,8 +129,8 @@ fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
 /// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the names of
 /// the pictures. `record` is kept, see [`SceneFile::record`]. The scene is in the frame of captures, y down, and turned half about x.
 ///
-/// Scales and opacities are stored linear in f32, as the schema demands: log-scales come back to 1e-6, opacities to 1e-7.
-/// Everything else that is optimised comes back bit for bit.
+/// Scales and opacities are stored linearly in f32, as the schema requires: log-scales are recovered to 1e-6, opacities
+/// to 1e-7. All other optimised values are recovered bit for bit.
 ///
 /// # Errors
 /// If a file cannot be written, a `.usdz` would hold a file of more than 4 GiB, or the composition is not valid.
@@ -159,20 +160,20 @@ pub fn write(
     Ok((bytes, export.files.into_iter().map(|(name, _)| name).collect()))
 }
 
-/// Reads cameras alone, those that move frame by frame.
+/// Reads the cameras only, animated ones frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let Opened { layer, member, .. } = package::open(path)?;
     let cameras = document(layer).and_then(|layer| shot::read(layer, sampling));
     cameras.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
-/// Writes cameras, which are in the frame of the capture, as one that moves.
+/// Writes cameras, given in the capture's frame, as one animated camera.
 pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
     let layer = shot::layer(cameras);
     atomic_write_with(path, |out| print::print(&layer, out))
 }
 
-/// True if a file that begins with `start` is a layer, as text or not, or a package of one.
+/// Whether a file that begins with `start` is a layer, in text or binary form, or a package of one.
 pub(super) fn is_usd(start: &[u8]) -> bool {
     start.starts_with(b"#usda") || start.starts_with(binary::MAGIC) || package::is_package(start)
 }

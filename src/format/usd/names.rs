@@ -1,24 +1,24 @@
-//! Names in our own layers: those of prims, and of the attributes that no schema of USD has.
+//! Names used in our own layers: of prims, and of attributes outside USD's schemas.
 
 use std::collections::HashSet;
 
 use super::document::Prim;
 
-/// The default prim.
+/// Name of the default prim.
 pub(super) const ROOT: &str = "Scene";
-/// The scope of materials below it.
+/// Name of the scope of materials below the default prim.
 pub(super) const LOOKS: &str = "Looks";
 
-/// In `customLayerData`: how the scene was made, as JSON.
+/// Key in `customLayerData` of the training record, as JSON.
 pub(super) const RECORD: &str = "centaur";
 
-/// What the names of our attributes begin with.
+/// Prefix of our attributes' names.
 pub(super) const PREFIX: &str = "centaur:";
 
-/// On the default prim: `capture` if the file is a capture's world turned by [`super::frame`].
+/// Attribute of the default prim: `capture` if the file is a capture's world turned by [`super::frame`].
 pub(super) const FRAME: &str = "centaur:frame";
 pub(super) const CAPTURE: &str = "capture";
-/// On the default prim: the fields of `Composition`.
+/// Attributes of the default prim: the fields of `Composition`.
 pub(super) const MODE: &str = "centaur:mode";
 pub(super) const LAMBDA: &str = "centaur:lambda";
 pub(super) const LAYERS: &str = "centaur:layers";
@@ -28,21 +28,21 @@ pub(super) const NEAR: &str = "centaur:near";
 pub(super) const FILTER_VARIANCE: &str = "centaur:pixelFilter:variance";
 pub(super) const FILTER_NORMALIZED: &str = "centaur:pixelFilter:normalized";
 
-/// On a mesh: v of every corner, downwards; the maps with all their bits.
+/// Attributes of a mesh: v of every corner, downwards; the exact maps.
 pub(super) const EXACT_V: &str = "centaur:v";
 pub(super) const BASE_MAP: &str = "centaur:baseMap";
 pub(super) const BANDS_MAP: &str = "centaur:bandsMap";
 
-/// On a camera: size of the image; fx, fy, cx and cy; world→camera in the capture's world.
+/// Attributes of a camera: size of the image; fx, fy, cx and cy; world→camera pose in the capture's world.
 pub(super) const IMAGE_SIZE: &str = "centaur:imageSize";
 pub(super) const INTRINSICS: &str = "centaur:intrinsics";
 pub(super) const POSE: &str = "centaur:worldToCamera";
 
-/// What `ColorSpaceAPI` calls the two spaces. USD has no display-referred ones.
+/// Names of the two colour spaces in `ColorSpaceAPI`. USD has no display-referred ones.
 pub(super) const SRGB: &str = "srgb_rec709_scene";
 pub(super) const LINEAR: &str = "lin_rec709_scene";
 
-/// Identifiers for named things that differ from each other and from `taken`.
+/// Identifiers for named objects, distinct from each other and from those in `taken`.
 pub(super) fn identifiers<T>(named: &[(String, T)], taken: &[Prim]) -> Vec<String> {
     let mut used: HashSet<String> = taken.iter().map(|p| p.name.clone()).collect();
     used.insert(LOOKS.to_owned());

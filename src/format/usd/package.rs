@@ -1,4 +1,4 @@
-//! Where the files of a layer are: beside it, or in the same `.usdz`.
+//! Location of a layer's files: beside it, or in the same `.usdz`.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _, Seek, SeekFrom, Write};
@@ -13,21 +13,21 @@ use crate::format::archive::{UntilError, write_zip};
 use crate::format::error::{Fault, open_file, read_file};
 use crate::format::gltf::{self, resolve};
 
-/// Data of a member begin at a multiple of this (the specification of USDZ), so that they can be mapped.
+/// Alignment of members' data (the specification of USDZ), which allows memory mapping.
 const ALIGNMENT: u16 = 64;
 
-/// Longest package: USDZ has no Zip64.
+/// Greatest length of a package: USDZ has no Zip64.
 const MAX_LENGTH: u64 = u32::MAX as u64;
 
-/// What a member takes beside its content and twice its name, at most: its two headers, and what aligns it.
+/// Upper bound on a member's bytes besides its content and twice its name: two headers, and alignment.
 const MEMBER_HEADERS: u64 = 30 + 46 + 2 * ALIGNMENT as u64;
 
 type Archive = ZipArchive<BufReader<File>>;
 
-/// What an asset path is relative to.
+/// Base of asset paths.
 pub(super) enum Place {
     Folder(PathBuf),
-    /// The package stays open; what is in it is read when it is asked for.
+    /// Package that stays open; its members are read on request.
     Package {
         archive: Box<Archive>,
         folder: String,
@@ -55,13 +55,13 @@ impl Place {
     }
 }
 
-/// Length of the files at asset paths beside a layer, each once.
+/// Total length of the files at asset paths beside a layer, each counted once.
 pub(super) fn bytes_of_files<'a>(paths: impl Iterator<Item = &'a str>, folder: &Path) -> u64 {
     let uris: Vec<String> = paths.map(as_uri).collect();
     gltf::bytes_of_files(uris.iter().map(String::as_str), folder)
 }
 
-/// Percent signs are no escapes in asset paths.
+/// Escapes percent signs, which are ordinary characters in asset paths.
 fn as_uri(path: &str) -> String {
     path.replace('%', "%25")
 }
@@ -72,7 +72,7 @@ fn member(archive: &mut Archive, name: &str) -> Result<Vec<u8>, Mismatch> {
     stored(archive, index)
 }
 
-/// Members are not compressed, so that the package bounds what is read.
+/// Reads a member. Members are not compressed, so the package bounds the memory needed.
 fn stored(archive: &mut Archive, index: usize) -> Result<Vec<u8>, Mismatch> {
     let unreadable = |e: zip::result::ZipError| ("a readable file".to_owned(), e.to_string());
     let mut member = archive.by_index(index).map_err(unreadable)?;
@@ -85,15 +85,15 @@ fn stored(archive: &mut Archive, index: usize) -> Result<Vec<u8>, Mismatch> {
     Ok(content)
 }
 
-/// A layer, and what is needed to read it.
+/// Layer, and the context needed to read it.
 pub(super) struct Opened {
     pub(super) layer: Vec<u8>,
     pub(super) place: Place,
-    /// Its name in a package.
+    /// Name of the layer in a package.
     pub(super) member: Option<String>,
 }
 
-/// `fault` of the layer, where it stands in the package.
+/// Places a layer's fault in its package.
 pub(super) fn located(fault: Fault, member: Option<&String>) -> Fault {
     match member {
         Some(name) => fault.in_member(name),
@@ -101,7 +101,7 @@ pub(super) fn located(fault: Fault, member: Option<&String>) -> Fault {
     }
 }
 
-/// The layer at `path`, and where its files are.
+/// Opens the layer at `path`, and locates its files.
 pub(super) fn open(path: &Path) -> Result<Opened, FormatError> {
     let mut file = open_file(path)?;
     let start = file.fill_buf().map_err(|source| FormatError::Read { file: path.to_owned(), source })?;
@@ -118,7 +118,7 @@ fn package(mut file: BufReader<File>) -> Result<Opened, Fault> {
     let mut archive = archive.map_err(|e| Fault::byte(end, "the directory of a zip before", e.to_string()))?;
     let directory = archive.central_directory_start() as usize;
     let unlisted = |e: zip::result::ZipError| Fault::byte(directory, "the directory of a zip", e.to_string());
-    // The first by place in the file, which need not be the first of the directory.
+    // First member by place in the file, which need not be the first in the directory.
     let mut first: Option<(u64, usize, String)> = None;
     for i in 0..archive.len() {
         let member = archive.by_index_raw(i).map_err(unlisted)?;
@@ -134,7 +134,7 @@ fn package(mut file: BufReader<File>) -> Result<Opened, Fault> {
     Ok(Opened { layer, place: Place::Package { archive: Box::new(archive), folder }, member: Some(name) })
 }
 
-/// True if a file that begins with `start` is a zip whose first member is a layer.
+/// Whether a file that begins with `start` is a zip whose first member is a layer.
 pub(super) fn is_package(start: &[u8]) -> bool {
     // The length of the name is at byte 26 of the member's header, the name at byte 30.
     let Some(length) = start.get(26..28).filter(|_| start.starts_with(b"PK\x03\x04")) else { return false };
@@ -143,7 +143,7 @@ pub(super) fn is_package(start: &[u8]) -> bool {
     [&b".usda"[..], b".usdc", b".usd"].iter().any(|extension| name.ends_with(extension))
 }
 
-/// Writes a package: the layer first, then the files, all aligned and none compressed.
+/// Writes a package: the layer first, then the files, all aligned and uncompressed.
 pub(super) fn write<W: Write + Seek>(
     out: W,
     layer: impl FnOnce(&mut Limited<'_, ZipWriter<UntilError<W>>>) -> std::io::Result<()>,
@@ -152,7 +152,8 @@ pub(super) fn write<W: Write + Seek>(
     write_within(MAX_LENGTH, out, layer, files)
 }
 
-/// [`write()`] of no more than `limit` bytes: more is an error, at the latest where the layer ends.
+/// Same as [`write()`], limited to `limit` bytes: exceeding them is an error, reported at the end of the layer at the
+/// latest.
 fn write_within<W: Write + Seek>(
     limit: u64,
     out: W,
@@ -161,11 +162,11 @@ fn write_within<W: Write + Seek>(
 ) -> std::io::Result<()> {
     const LAYER: &str = "scene.usda";
     let member = |name: &str, length: usize| (length + 2 * name.len()) as u64 + MEMBER_HEADERS;
-    // Besides, the end of the directory takes 22 bytes.
+    // The end of the directory takes another 22 bytes.
     let besides = files.iter().map(|(name, content)| member(name, content.len())).sum::<u64>() + member(LAYER, 0) + 22;
     let left = limit.checked_sub(besides).ok_or_else(too_long)?;
     write_zip(out, |zip| {
-        // Without a date the package depends on its content alone.
+        // Without a date, the package depends only on its content.
         let options =
             SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(ALIGNMENT);
         zip.start_file(LAYER, options)?;
@@ -182,7 +183,7 @@ fn too_long() -> std::io::Error {
     std::io::Error::other("a .usdz cannot hold more than 4 GiB; a .usda can")
 }
 
-/// Takes so many bytes and no more.
+/// Writer that accepts a limited number of bytes.
 pub(super) struct Limited<'a, W> {
     out: &'a mut W,
     left: u64,

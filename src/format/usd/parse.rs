@@ -1,4 +1,4 @@
-//! The grammar of a `.usda`.
+//! Parser of `.usda`.
 
 use std::collections::HashMap;
 
@@ -8,11 +8,11 @@ use super::document::{
 use super::lex::Cursor;
 use crate::format::error::Fault;
 
-/// How deep prims, lists and dictionaries may lie in each other: far above what anyone writes, far below what the stack
-/// of a thread holds.
+/// Greatest nesting depth of prims, lists and dictionaries: far above real files, far below what a thread's stack can
+/// hold.
 const MAX_DEPTH: usize = 200;
 
-/// Reads the text of a layer, in time and memory proportional to its length.
+/// Parses the text of a layer, in time and memory proportional to its length.
 pub(super) fn parse(bytes: &[u8]) -> Result<Layer, Fault> {
     let text = std::str::from_utf8(bytes)
         .map_err(|e| Fault::byte(e.valid_up_to(), "UTF-8", format!("byte {:#04x}", bytes[e.valid_up_to()])))?;
@@ -20,7 +20,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Layer, Fault> {
     if !text.starts_with("#usda 1.") {
         return Err(cursor.fault("`#usda 1.0`"));
     }
-    // The line is a comment to the cursor.
+    // To the cursor, the first line is a comment.
     let metadata = cursor.metadata(0)?;
     let mut prims = vec![];
     loop {
@@ -43,7 +43,7 @@ impl Cursor<'_> {
         }
     }
 
-    /// `reorder nameChildren = ["b", "a"]`: says nothing about content.
+    /// Skips `reorder nameChildren = ["b", "a"]`, which does not affect content.
     fn reorder(&mut self, depth: usize) -> Result<(), Fault> {
         self.word("reorder")?;
         if self.word("what to reorder")? == "rel" {
@@ -53,7 +53,7 @@ impl Cursor<'_> {
         self.value(depth).map(drop)
     }
 
-    /// What stands in parentheses after a layer's first line, a prim's name or an attribute's value.
+    /// Metadata in parentheses after a layer's first line, a prim's name or an attribute's value.
     fn metadata(&mut self, depth: usize) -> Result<Vec<Field>, Fault> {
         let mut fields = vec![];
         if !self.eat(b'(')? {
@@ -77,7 +77,7 @@ impl Cursor<'_> {
         }
     }
 
-    /// A word that says how a list is edited, if one follows that is not itself a name.
+    /// Keyword of a list edit, if one follows that is not itself a name.
     fn list_edit(&mut self) -> Result<Option<ListEdit>, Fault> {
         let word = self.peek_word()?;
         let edit = ListEdit::ALL.into_iter().find(|edit| Some(edit.word()) == word);
@@ -103,7 +103,7 @@ impl Cursor<'_> {
         Ok(prim)
     }
 
-    /// What stands in braces: properties, prims and variants.
+    /// Body in braces: properties, prims and variants.
     fn body(&mut self, prim: &mut Prim, depth: usize) -> Result<(), Fault> {
         let depth = self.deeper(depth)?;
         self.expect(b'{')?;
@@ -141,8 +141,8 @@ impl Cursor<'_> {
         }
     }
 
-    /// One statement about an attribute or a relationship. Those about one attribute become one property, wherever in
-    /// the prim they stand: `attributes` are the indices of those met so far.
+    /// Parses one statement about an attribute or a relationship. Statements about the same attribute form one
+    /// property, wherever in the prim they are; `attributes` has the indices of those met so far.
     fn property(
         &mut self,
         properties: &mut Vec<Property>,
@@ -217,7 +217,7 @@ impl Cursor<'_> {
         }
     }
 
-    /// `None`, a path or a list of paths.
+    /// Parses `None`, a path or a list of paths.
     fn paths(&mut self) -> Result<Vec<String>, Fault> {
         if self.peek_word()? == Some("None") {
             self.word("None")?;
@@ -234,7 +234,7 @@ impl Cursor<'_> {
         Ok(paths)
     }
 
-    /// After an element: a comma, or what closes the list.
+    /// Parses a comma after an element, unless the list closes.
     fn comma(&mut self, close: u8) -> Result<(), Fault> {
         if self.eat(b',')? || self.peek()? == Some(close) {
             return Ok(());
@@ -254,7 +254,7 @@ impl Cursor<'_> {
         Ok(samples)
     }
 
-    /// A value of a stated type.
+    /// Parses a value of a stated type.
     fn typed(&mut self, type_name: &str, depth: usize) -> Result<Value, Fault> {
         if self.peek_word()? == Some("None") {
             self.word("None")?;
@@ -269,7 +269,7 @@ impl Cursor<'_> {
         })
     }
 
-    /// One element, or as many as there are in brackets, as a flat list.
+    /// Parses one element, or a bracketed list of elements, as a flat list.
     fn elements<T>(
         &mut self,
         numeric: Numeric,
@@ -310,7 +310,7 @@ impl Cursor<'_> {
         Ok(())
     }
 
-    /// `count` things in parentheses.
+    /// Parses `count` items in parentheses.
     fn group(&mut self, count: usize, mut one: impl FnMut(&mut Self) -> Result<(), Fault>) -> Result<(), Fault> {
         self.expect(b'(')?;
         for i in 0..count {
@@ -323,7 +323,7 @@ impl Cursor<'_> {
         self.expect(b')')
     }
 
-    /// A value whose type is not stated.
+    /// Parses a value without a stated type.
     fn value(&mut self, depth: usize) -> Result<Value, Fault> {
         let depth = self.deeper(depth)?;
         let next = self.peek()?;
@@ -346,9 +346,9 @@ impl Cursor<'_> {
         })
     }
 
-    /// A value of metadata: assets and paths may be references, with a prim and an offset in time after them.
+    /// Parses a metadata value: assets and paths may be references, followed by a prim and a time offset.
     fn arc(&mut self, depth: usize) -> Result<Value, Fault> {
-        // Metadata of arcs hold arcs.
+        // Metadata of references may contain references.
         let depth = self.deeper(depth)?;
         if self.peek()? == Some(b'[') {
             self.expect(b'[')?;
@@ -365,7 +365,7 @@ impl Cursor<'_> {
             Value::Asset(_) | Value::Path(_) => value,
             other => return Ok(other),
         };
-        // `(offset = 10; scale = 2)`: of time only.
+        // `(offset = 10; scale = 2)` concerns time only.
         self.metadata(depth).map(|_| value)
     }
 

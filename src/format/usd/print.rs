@@ -1,4 +1,4 @@
-//! A layer as text, in the layout that USD's own writer uses. Floats have as many digits as bring back their bits.
+//! Writer of a layer as text, in the layout of USD's own writer. Floats have enough digits to be read back bit for bit.
 
 use std::fmt::{Display, LowerExp, Write as _};
 use std::io::{self, Write};
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::document::{Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Value};
 
-/// Elements that one task turns to text, and tasks whose text is held in memory at a time: about 50 MB.
+/// Number of elements that one task formats, and of tasks whose text is held in memory at a time: about 50 MB.
 const ELEMENTS: usize = 1 << 14;
 const TASKS: usize = 64;
 
@@ -36,7 +36,7 @@ impl<W: Write> Printer<'_, W> {
         write!(self.out, "{:1$}", "", 4 * self.indent)
     }
 
-    /// In parentheses after `space`; nothing if there is none. Leaves the line open.
+    /// Writes metadata in parentheses after `space`; nothing if there is none. Leaves the line open.
     fn metadata(&mut self, fields: &[Field], space: &str) -> io::Result<()> {
         if fields.is_empty() {
             return Ok(());
@@ -119,7 +119,7 @@ impl<W: Write> Printer<'_, W> {
                 writeln!(self.out)
             }
             PropertyKind::Attribute { type_name, value, samples, connections } => {
-                // The declaration carries the metadata; it is left out where others say all there is.
+                // The declaration carries the metadata; it is omitted if samples or connections say everything.
                 let declares = value.is_some() || !property.metadata.is_empty();
                 if declares || (samples.is_empty() && connections.is_none()) {
                     self.line_start()?;
@@ -155,7 +155,7 @@ impl<W: Write> Printer<'_, W> {
         }
     }
 
-    /// A value of a type; the type is empty where none is stated.
+    /// Writes a value of a type; the type is empty if none is stated.
     fn value(&mut self, type_name: &str, value: &Value) -> io::Result<()> {
         let numeric = Numeric::of(type_name).unwrap_or(Numeric { scalar: Scalar::Double, rows: 1, columns: 1 });
         let is_array = type_name.ends_with("[]");
@@ -209,7 +209,7 @@ impl<W: Write> Printer<'_, W> {
         write!(self.out, "}}")
     }
 
-    /// Elements of an array, many at a time.
+    /// Writes elements of an array, many in parallel.
     fn numbers<T: Sync>(
         &mut self,
         all: &[T],
@@ -290,7 +290,7 @@ fn quoted(text: &str) -> String {
     quoted
 }
 
-/// A float in the fewest digits that are read back as the same float.
+/// Float in the fewest digits that are read back as the same float.
 struct Shortest<T>(T);
 
 impl<T: Copy + Into<f64> + Display + LowerExp> Display for Shortest<T> {

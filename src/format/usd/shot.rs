@@ -1,4 +1,4 @@
-//! Cameras alone, as they move: time samples of their optics and of their transforms and those above.
+//! Animated cameras of a layer: time samples of their optics and of the transforms of them and their ancestors.
 
 use glam::DMat4;
 
@@ -10,13 +10,13 @@ use crate::format::cameras::{CameraFile, DEFAULT_FPS, Found, Frames, NAME, Sampl
 use crate::format::error::Fault;
 use crate::scene::{Camera, Composition, HybridScene, Splats, frame::HALF_TURN};
 
-/// Time codes a second where a layer does not say.
+/// Time codes per second if a layer does not state them.
 const DEFAULT_RATE: f64 = 24.0;
 
-/// Steps of transforms that are evaluated for one file's cameras: above what any path has, in seconds.
+/// Upper bound on transforms evaluated for the cameras of a file: more than any real path needs, a few seconds of work.
 const MAX_STEPS: usize = 50_000_000;
 
-/// The cameras of a layer.
+/// Cameras of a layer.
 pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFile, Fault> {
     layer.sort_samples();
     let rate = |name: &str| layer.field(name).and_then(Value::as_number).filter(|v| *v > 0.0 && v.is_finite());
@@ -85,7 +85,7 @@ pub(super) fn read(mut layer: Layer, sampling: &Sampling<'_>) -> Result<CameraFi
     chosen(found, sampling, !is_ours, notes).map_err(|fault| fault.under("/"))
 }
 
-/// The prim and those above that place it, from it upwards.
+/// Prim and its ancestors that determine its transform, upwards.
 fn chain(stage: &Stage<'_>, prim: usize) -> Vec<usize> {
     let mut chain = vec![];
     let mut next = Some(prim);
@@ -97,14 +97,14 @@ fn chain(stage: &Stage<'_>, prim: usize) -> Vec<usize> {
     chain
 }
 
-/// First and last time code of what moves a camera or changes its optics; `None` if nothing does.
+/// First and last time code of the animation of a camera's transform or optics; `None` if it is static.
 fn range(stage: &Stage<'_>, camera: usize) -> Option<(f64, f64)> {
     let optics = stage.prims[camera].properties.iter().map(|p| (camera, p.name.as_str()));
     let moving =
         chain(stage, camera).into_iter().flat_map(|prim| xform::attributes(stage.prims[prim]).map(move |n| (prim, n)));
     let times = optics.chain(moving).flat_map(|(prim, name)| {
         let samples = stage.prims[prim].samples(name);
-        // One sample is a value.
+        // A single sample is a constant.
         let samples = if samples.len() > 1 { samples } else { &[] };
         samples.iter().map(|(time, _)| *time).filter(|time| time.is_finite())
     });
@@ -120,10 +120,10 @@ fn world(stage: &Stage<'_>, prim: usize, to_world: DMat4) -> Result<DMat4, Fault
     Ok(to_world * transform)
 }
 
-/// A layer with one camera, whose frames are those of `shown`, in the frame of the capture: one a time code.
+/// Layer with one camera whose frames are those of `shown`, in the capture's frame: one per time code.
 pub(super) fn layer(shown: &CameraFile) -> Layer {
     let fps = shown.fps.unwrap_or(DEFAULT_FPS);
-    // Most times are those of whole time codes.
+    // Most times are integer time codes.
     let code = |code: f64| if (code - code.round()).abs() < 1e-6 { code.round() } else { code };
     let codes: Vec<f64> = shown.keys().into_iter().map(|time| code(time * fps)).collect();
     let [first, last] = [codes.first(), codes.last()].map(|end| end.copied().unwrap_or_default());
@@ -141,7 +141,7 @@ pub(super) fn layer(shown: &CameraFile) -> Layer {
     export
 }
 
-/// Prims that differ in values alone as one, whose values these are at time codes.
+/// Merges prims that differ only in values into one with time samples.
 fn merged(frames: &[Prim], codes: &[f64]) -> Option<Prim> {
     fn value_of(prim: &Prim, i: usize) -> Option<&Value> {
         match &prim.properties[i].kind {

@@ -1,4 +1,4 @@
-//! `ParticleField3DGaussianSplat` to splats.
+//! Conversion of `ParticleField3DGaussianSplat` to splats.
 
 use glam::{Quat, Vec3};
 
@@ -8,7 +8,7 @@ use crate::format::activation;
 use crate::format::error::{Fault, shown};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
-/// Colour space that a prim states by `ColorSpaceAPI`; on failure, the name that is not known.
+/// Colour space that a prim states by `ColorSpaceAPI`; on failure, the unknown name.
 pub(super) fn color_space<'a>(stage: &Stage<'a>, prim: usize) -> Result<Option<ColorSpace>, &'a str> {
     match stage.text(prim, "colorSpace:name") {
         None => Ok(None),
@@ -18,19 +18,19 @@ pub(super) fn color_space<'a>(stage: &Stage<'a>, prim: usize) -> Result<Option<C
     }
 }
 
-/// SH degree that a prim states; on failure, what it states instead.
+/// SH degree that a prim states; on failure, the invalid value.
 fn degree_stated(stage: &Stage<'_>, prim: usize) -> Result<u32, f64> {
     let stated = stage.number(prim, "radiance:sphericalHarmonicsDegree").unwrap_or(3.0);
     if (0.0..=16.0).contains(&stated) { Ok(stated as u32) } else { Err(stated) }
 }
 
-/// SH coefficients per splat by the degree that a prim states; `None` if that is none.
+/// SH coefficients per splat for the degree that a prim states; `None` if it is invalid.
 pub(super) fn coefficients_stated(stage: &Stage<'_>, prim: usize) -> Option<usize> {
     degree_stated(stage, prim).ok().map(sh::coefficients)
 }
 
-/// In the frame of the prim. Arrays that are too short count as missing, as the schema says; what is missing gets the
-/// schema's idea of nothing said.
+/// Reads splats in the frame of the prim. Arrays that are too short count as missing, as the schema demands; missing
+/// arrays get the schema's defaults.
 pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<SplatArrays, Fault> {
     let at = stage.path(prim);
     if let Some(hint) = stage.text(prim, "projectionModeHint").filter(|hint| *hint != "perspective") {
@@ -93,7 +93,7 @@ pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> R
     })
 }
 
-/// An attribute in single precision, else in half.
+/// Attribute in single precision, else in half precision.
 fn either<const N: usize>(stage: &Stage<'_>, prim: usize, name: &str) -> Result<Option<Vec<[f32; N]>>, Fault> {
     match stage.rows(prim, name)? {
         Some(rows) => Ok(Some(rows)),

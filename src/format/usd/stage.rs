@@ -1,4 +1,4 @@
-//! The prims of a layer by path, and typed access to their attributes.
+//! Prims of a layer by path, and typed access to their attributes.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -14,14 +14,15 @@ pub(super) struct Stage<'a> {
     pub(super) prims: Vec<&'a Prim>,
     pub(super) parents: Vec<Option<usize>>,
     children: HashMap<(Option<usize>, &'a str), usize>,
-    /// Time code at which [`Self::value`] looks; `None`: no time, where defaults are before samples.
+    /// Time code at which [`Self::value`] evaluates; `None`: no time, in which case defaults take precedence over
+    /// samples.
     pub(super) time: Option<f64>,
 }
 
-/// Length from which on the beginning of a path is left out: there can be a message for every prim below.
+/// Length beyond which the beginning of a path is omitted: there can be a message for every prim below.
 const LONG_PATH: usize = 1000;
 
-/// Connections that are followed before the value is held to be nowhere.
+/// Connections that are followed before a value counts as missing.
 const MAX_HOPS: usize = 16;
 
 /// Where a prim lies in the world and which material is bound to it.
@@ -34,7 +35,7 @@ pub(super) struct Placed {
 /// Where an input of a shader gets its value.
 pub(super) enum Source<'a> {
     Value(&'a Value),
-    /// The output `name` of the shader `prim`.
+    /// Output `name` of the shader `prim`.
     Output {
         prim: usize,
         name: &'a str,
@@ -55,7 +56,7 @@ impl<'a> Stage<'a> {
         stage
     }
 
-    /// The paths of files that attributes of any prim have as values.
+    /// Paths of files in attribute values of any prim.
     pub(super) fn assets(&self) -> impl Iterator<Item = &'a str> {
         let values = self.prims.iter().flat_map(|prim| &prim.properties).flat_map(|property| match &property.kind {
             PropertyKind::Attribute { value, samples, .. } => {
@@ -71,7 +72,7 @@ impl<'a> Stage<'a> {
         })
     }
 
-    /// The value of an attribute at [`Self::time`].
+    /// Value of an attribute at [`Self::time`].
     pub(super) fn value(&self, prim: usize, name: &str) -> Option<Cow<'a, Value>> {
         match self.time {
             None => self.prims[prim].value(name).map(Cow::Borrowed),
@@ -79,7 +80,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Where a prim is, as messages have it: of what is very long the end.
+    /// Path of a prim for messages; of a very long one, the end.
     pub(super) fn path(&self, prim: usize) -> String {
         let (mut names, mut length, mut next) = (vec![], 0, Some(prim));
         while let Some(id) = next {
@@ -91,7 +92,7 @@ impl<'a> Stage<'a> {
         names.iter().rev().flat_map(|name| ["/", name]).collect()
     }
 
-    /// The prim at `path`, which may be relative to `from` and may end in a property, and that property's name.
+    /// Prim at `path`, which may be relative to `from` and may end in a property, and that property's name.
     pub(super) fn find<'p>(&self, from: usize, path: &'p str) -> Option<(usize, &'p str)> {
         let last = path.rfind('/').map_or(0, |i| i + 1);
         let (prims, property) = match path[last..].find('.').filter(|_| &path[last..] != "..") {
@@ -108,7 +109,7 @@ impl<'a> Stage<'a> {
         Some((at?, property))
     }
 
-    /// The value of an input, or the shader output behind its connections.
+    /// Value of an input, or the shader output to which it is connected.
     pub(super) fn input(&self, prim: usize, name: &'a str) -> Option<Source<'a>> {
         let (mut prim, mut name) = (prim, name);
         for _ in 0..MAX_HOPS {
@@ -127,7 +128,7 @@ impl<'a> Stage<'a> {
         Fault::pointer(format!("{}.{name}", self.path(prim)), expected, found)
     }
 
-    /// Elements of `N` numbers; `None` if the attribute is not there.
+    /// Elements of `N` numbers; `None` if the attribute is missing.
     pub(super) fn rows<const N: usize>(&self, prim: usize, name: &str) -> Result<Option<Vec<[f32; N]>>, Fault> {
         let Some(value) = self.prims[prim].value(name) else { return Ok(None) };
         let Some(PropertyKind::Attribute { type_name, .. }) = self.prims[prim].property(name).map(|p| &p.kind) else {
@@ -142,7 +143,7 @@ impl<'a> Stage<'a> {
         }
     }
 
-    /// Indices or counts; `None` if the attribute is not there.
+    /// Indices or counts; `None` if the attribute is missing.
     pub(super) fn indices(&self, prim: usize, name: &str) -> Result<Option<Vec<u32>>, Fault> {
         let Some(value) = self.prims[prim].value(name) else { return Ok(None) };
         let Value::Integers(all) = value else { return Err(self.fault(prim, name, "integers", "other values")) };
@@ -155,7 +156,7 @@ impl<'a> Stage<'a> {
         self.prims[prim].value(name)?.as_text()
     }
 
-    /// `N` numbers of a single value.
+    /// Single value of `N` numbers.
     pub(super) fn numbers<const N: usize>(&self, prim: usize, name: &str) -> Option<[f64; N]> {
         self.value(prim, name)?.as_numbers()?.try_into().ok()
     }

@@ -1,4 +1,4 @@
-//! `UsdGeomMesh` to meshes.
+//! Conversion of `UsdGeomMesh` to meshes.
 
 use std::collections::HashMap;
 
@@ -18,11 +18,11 @@ struct Polygons {
     points: Vec<Vec3>,
     counts: Vec<u32>,
     corners: Vec<u32>,
-    /// Whether a face is a hole, which is not drawn.
+    /// Per face, whether it is a hole, which is not drawn.
     holes: Vec<bool>,
 }
 
-/// One mesh per material of its faces; what has no triangle is left out.
+/// Reads one mesh per material of the prim's faces; meshes without triangles are left out.
 pub(super) fn read(
     stage: &Stage<'_>,
     placed: &Placed,
@@ -42,7 +42,7 @@ pub(super) fn read(
         let place = |p: &mut Vec3| *p = placed.transform.transform_point3(p.as_dvec3()).as_vec3();
         polygons.points.iter_mut().for_each(place);
     }
-    // Counter-clockwise from in front is what all else takes for granted.
+    // All other code assumes counter-clockwise winding seen from the front.
     let is_left_handed = stage.text(prim, "orientation") == Some("leftHanded");
     let is_turned_over = is_left_handed != (placed.transform.determinant() < 0.0);
     let parts = parts(stage, placed, &polygons)?;
@@ -78,7 +78,7 @@ pub(super) fn read(
                 corner_uvs.push(if uvs.is_some() { coordinates.map.corners(of_triangle) } else { of_triangle });
             }
         }
-        // A mesh of one material keeps its vertices, also those of no face.
+        // A mesh with one material keeps its vertices, including unused ones.
         let positions =
             if parts.len() == 1 { polygons.points.clone() } else { used_points(&polygons.points, &mut triangles) };
         if !triangles.is_empty() {
@@ -91,20 +91,20 @@ pub(super) fn read(
     Ok(meshes)
 }
 
-/// A polygon: its place among the faces, its first corner, how many it has.
+/// Polygon: its index among the faces, its first corner, and its number of corners.
 struct Face {
     index: usize,
     first: usize,
     count: usize,
 }
 
-/// The faces of one material.
+/// Faces of one material.
 struct Part {
     material: Option<usize>,
     faces: Vec<Face>,
 }
 
-/// Faces that are no holes by material: that of the whole, and those of its `GeomSubset`s.
+/// Faces other than holes, by material: that of the mesh, and those of its `GeomSubset`s.
 fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<Part>, Fault> {
     let mut of_face = vec![placed.material; polygons.counts.len()];
     for child in stage.prims[placed.prim].children.iter().filter(|child| child.type_name == "GeomSubset") {
@@ -139,7 +139,7 @@ fn used_points(points: &[Vec3], triangles: &mut [[u32; 3]]) -> Vec<Vec3> {
     polygon::used(points.len(), triangles).into_iter().map(|vertex| points[vertex]).collect()
 }
 
-/// Checked: counts and corners agree, and corners are points.
+/// Reads polygons, and checks that counts and corners agree and that corners refer to points.
 fn polygons(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<Polygons, Fault> {
     let points: Vec<Vec3> = stage.rows::<3>(prim, "points")?.unwrap_or_default().into_iter().map(Vec3::from).collect();
     let counts = stage.indices(prim, "faceVertexCounts")?.unwrap_or_default();
@@ -175,12 +175,12 @@ struct CornerUvs<'a> {
     values: Vec<[f32; 2]>,
     interpolation: &'a str,
     indices: Option<Vec<u32>>,
-    /// v of every corner with all its bits, in our own files.
+    /// Exact v of every corner, in our own files.
     exact: Option<Vec<[f32; 1]>>,
 }
 
 impl<'a> CornerUvs<'a> {
-    /// `None` if the mesh has none.
+    /// Reads the UVs; `None` if the mesh has none.
     fn of(stage: &Stage<'a>, prim: usize, primvar: &str) -> Result<Option<Self>, Fault> {
         let name = format!("primvars:{primvar}");
         let Some(values) = stage.rows::<2>(prim, &name)? else { return Ok(None) };
@@ -191,7 +191,7 @@ impl<'a> CornerUvs<'a> {
         Ok(Some(Self { at: format!("{}.{name}", stage.path(prim)), values, interpolation, indices, exact }))
     }
 
-    /// v downwards.
+    /// UV of a corner, v downwards.
     fn at(&self, corner: usize, vertex: u32, face: usize) -> Result<Vec2, Fault> {
         let index = match self.interpolation {
             "faceVarying" => corner,
@@ -207,7 +207,7 @@ impl<'a> CornerUvs<'a> {
             let expected = format!("a value for element {index} of interpolation {}", self.interpolation);
             return Err(Fault::pointer(&self.at, expected, "none"));
         };
-        // Unless somebody has moved the coordinates since they were written.
+        // Unless the coordinates have been changed since they were written.
         let exact = self.exact.as_ref().map(|exact| exact[corner][0]).filter(|v| 1.0 - v == stored);
         Ok(Vec2::new(u, exact.unwrap_or(1.0 - stored)))
     }

@@ -1,4 +1,4 @@
-//! A layer as a hybrid scene.
+//! Conversion of a layer to a hybrid scene.
 
 use std::collections::BTreeMap;
 
@@ -18,14 +18,14 @@ use crate::format::placed::{self, join};
 use crate::scene::frame::HALF_TURN;
 use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode, PixelFilter};
 
-/// Type of splats.
+/// Type name of splats.
 pub(super) const SPLATS: &str = "ParticleField3DGaussianSplat";
 
-/// Prims that group, or that belong to others.
+/// Types of prims that only group, or that belong to others.
 const SILENT: [&str; 10] =
     ["", "Xform", "Scope", "Material", "Shader", "NodeGraph", "GeomSubset", "SkelRoot", "RenderSettings", "Backdrop"];
 
-/// Metadata that compose a prim of others.
+/// Metadata that compose a prim from others.
 const ARCS: [&str; 4] = ["references", "payload", "inherits", "specializes"];
 
 /// Reads a layer whose files are in `place`: in the frame of the capture if it is ours, else y up.
@@ -84,7 +84,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
     })
 }
 
-/// How the scene was made, if it says so.
+/// Record of how the scene was made, if the layer has one.
 fn record(layer: &Layer, notes: &mut Vec<String>) -> Option<serde_json::Value> {
     let Some(Value::Dictionary(entries)) = layer.field("customLayerData") else { return None };
     let entry = entries.iter().find(|entry| entry.key == names::RECORD)?;
@@ -96,12 +96,12 @@ fn record(layer: &Layer, notes: &mut Vec<String>) -> Option<serde_json::Value> {
     record
 }
 
-/// What a camera is called.
+/// Name of a camera.
 pub(super) fn display_name(prim: &Prim) -> String {
     short(field(&prim.metadata, "displayName").and_then(Value::as_text).unwrap_or(&prim.name))
 }
 
-/// From the layer's units and axes to metres and y up.
+/// Transform from the layer's units and axes to metres and y up.
 pub(super) fn units(layer: &Layer, notes: &mut Vec<String>) -> Result<DMat4, Fault> {
     let scale = match layer.field("metersPerUnit").map(Value::as_number) {
         None => {
@@ -124,7 +124,7 @@ pub(super) fn is_ours(stage: &Stage<'_>) -> bool {
     contract_prim(stage).is_some_and(|root| stage.text(root, names::FRAME) == Some(names::CAPTURE))
 }
 
-/// The prim that states the rule of blending: ours at the root, unless somebody has put it into a scene of theirs.
+/// Prim that states the composition: our default prim, or wherever another program has put it in its scene.
 fn contract_prim(stage: &Stage<'_>) -> Option<usize> {
     stage.prims.iter().position(|prim| prim.property(names::MODE).is_some())
 }
@@ -168,12 +168,12 @@ fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) 
             normalized: stage.number(root, names::FILTER_NORMALIZED).is_some_and(|v| v != 0.0),
         },
     };
-    // Fields of the rule are named as its attributes.
+    // Fields of the composition have the names of its attributes.
     composition.validate().map_err(|e| Fault::from(e).under(stage.path(root)))?;
     Ok(composition)
 }
 
-/// All prims that are drawn, with their transforms to the world and the materials that they inherit.
+/// All drawn prims, with their world transforms and inherited materials.
 pub(super) fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Counts) -> Result<Vec<Placed>, Fault> {
     let mut states: Vec<Option<(DMat4, Option<usize>)>> = Vec::with_capacity(stage.prims.len());
     let mut drawn = vec![];
@@ -203,7 +203,7 @@ pub(super) fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Count
 
 fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
     let is_inactive = field(&prim.metadata, "active").and_then(Value::as_number) == Some(0.0);
-    // Without a prim that they are over, or that inherits them, these are nothing.
+    // Prims that are overrides or classes are not drawn by themselves.
     if prim.specifier != Specifier::Def || is_inactive {
         return false;
     }
@@ -211,7 +211,7 @@ fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
         left_out.add("made invisible left out, with what is below");
         return false;
     }
-    // What it scatters lies below it, and is not drawn there.
+    // Prototypes of a `PointInstancer` are below it, and are not drawn there.
     if prim.type_name == "PointInstancer" {
         left_out.add("of type PointInstancer left out, with what is below");
         return false;
@@ -223,7 +223,7 @@ fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
     true
 }
 
-/// What is not taken over, by kind.
+/// Counts of content that is left out, by kind.
 #[derive(Default)]
 pub(super) struct Counts(BTreeMap<String, usize>);
 

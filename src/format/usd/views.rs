@@ -1,4 +1,4 @@
-//! `UsdGeomCamera` to cameras.
+//! Conversion of `UsdGeomCamera` to cameras.
 
 use glam::{DMat3, DMat4, DVec3};
 
@@ -8,8 +8,8 @@ use crate::format::DEFAULT_HEIGHT;
 use crate::format::placed::{Decomposed, similarity};
 use crate::scene::{Camera, Intrinsics, frame};
 
-/// A camera in the world of `transform`, followed by `to_scene`, and what had to be assumed about it; on failure, the
-/// reason.
+/// Reads a camera with the world transform `transform`, followed by `to_scene`, and collects notes on assumptions; on
+/// failure, the reason.
 pub(super) fn read(
     stage: &Stage<'_>,
     prim: usize,
@@ -42,14 +42,14 @@ pub(super) fn read(
         let height = f64::from(DEFAULT_HEIGHT);
         [(height * horizontal / vertical).round().max(1.0), height]
     });
-    // A cast saturates, and makes 0 of what is no number.
+    // A cast saturates, and maps NaN to 0.
     if !Intrinsics::is_size(width as u32, height as u32) {
         return Err(format!("an image of {width}×{height} pixels"));
     }
     let (fx, fy) = (focal / horizontal * width, focal / vertical * height);
     let (cx, cy) = ((0.5 - right / horizontal) * width, (0.5 + up / vertical) * height);
     let mut k = Intrinsics { width: width as u32, height: height as u32, fx, fy, cx, cy };
-    // The schema's numbers are of single precision; a larger difference means that somebody has changed them.
+    // The schema's numbers have single precision; a larger difference means that another program has changed them.
     if let Some([own_fx, own_fy, own_cx, own_cy]) = stage.numbers::<4>(prim, names::INTRINSICS) {
         let near = |a: f64, b: f64, size: f64| (a - b).abs() <= 1e-5 * size;
         let is_unchanged = near(own_fx, fx, fx)

@@ -1,4 +1,4 @@
-//! `xformOp`s: how a prim lies in its parent.
+//! Transforms of prims by `xformOp`s.
 
 use glam::{DMat4, DQuat, DVec3};
 
@@ -6,10 +6,11 @@ use super::document::{Prim, Value};
 use super::stage::Stage;
 use crate::format::error::Fault;
 
-/// Operations of one prim: far above what any program writes. Each is looked for among the prim's properties.
+/// Upper bound on operations of one prim: far above what any program writes. Each is searched among the prim's
+/// properties.
 const MAX_OPERATIONS: usize = 1000;
 
-/// Transform of a prim, and whether it leaves out those of its ancestors.
+/// Transform of a prim, and whether it ignores those of its ancestors.
 pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fault> {
     let mut transform = DMat4::IDENTITY;
     let mut resets = false;
@@ -44,7 +45,7 @@ pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fau
     Ok((transform, resets))
 }
 
-/// Names of the attributes that say how a prim lies in its parent.
+/// Names of the attributes that determine a prim's transform.
 pub(super) fn attributes(prim: &Prim) -> impl Iterator<Item = &str> {
     let order = match prim.value("xformOpOrder") {
         Some(Value::List(order)) => &order[..],
@@ -53,7 +54,7 @@ pub(super) fn attributes(prim: &Prim) -> impl Iterator<Item = &str> {
     order.iter().filter_map(Value::as_text).map(|name| name.strip_prefix("!invert!").unwrap_or(name))
 }
 
-/// One operation on column vectors. Angles are in degrees.
+/// Matrix of one operation, for column vectors. Angles are in degrees.
 fn operation(kind: &str, values: &[f64]) -> Option<DMat4> {
     let axis = |letter: u8| match letter {
         b'X' => Some(DVec3::X),
@@ -76,7 +77,7 @@ fn operation(kind: &str, values: &[f64]) -> Option<DMat4> {
                 ("translate", &[a], &[v]) => Some(DMat4::from_translation(axis(a)? * v)),
                 ("scale", &[a], &[v]) => Some(DMat4::from_scale(DVec3::ONE + axis(a)? * (v - 1.0))),
                 ("rotate", &[a], &[v]) => Some(turn(axis(a)?, v)),
-                // The axis that is named first turns first; angles are those about x, y and z in any case.
+                // The first-named axis rotates first; angles are always given in the order x, y, z.
                 ("rotate", &[first, second, third], &[x, y, z]) => {
                     let about = |letter: u8| Some(turn(axis(letter)?, [x, y, z][usize::from(letter - b'X')]));
                     Some(about(third)? * about(second)? * about(first)?)
@@ -87,7 +88,7 @@ fn operation(kind: &str, values: &[f64]) -> Option<DMat4> {
     }
 }
 
-/// Exact where the angle is a multiple of a quarter turn, as that between y up and z up is.
+/// Rotation, exact for multiples of a quarter turn, such as between y up and z up.
 fn turn(axis: DVec3, degrees: f64) -> DMat4 {
     let quarters = degrees / 90.0;
     if quarters.fract() != 0.0 {

@@ -1,8 +1,8 @@
-//! Whether a file is what its format says it must be: every fault in it, not only the first.
+//! Validation of files against the rules of their format: reports all faults, not only the first.
 //!
-//! Readers stop at what they cannot use; this looks at everything, and says where it is, what was expected and what was
-//! found. For glTF, PLY and SPZ it owes nothing to the readers but the containers and the digest of bindings; other formats are checked by
-//! theirs.
+//! Readers stop at the first unusable value; validation examines everything and reports place, expectation and finding.
+//! For glTF, PLY and SPZ it shares no code with the readers except the containers and the digest of bindings; other
+//! formats are checked by their readers.
 
 mod gltf;
 mod ply;
@@ -17,32 +17,32 @@ use serde::Serialize;
 use super::error::{Fault, FormatError, Location, one_line, read_file};
 use super::{Kind, kind, read_scene};
 
-/// How bad a finding is.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Allowed, but probably not meant, or not understood by Centaur.
+    /// Allowed, but probably unintended, or not understood by Centaur.
     Warning,
-    /// The format forbids it.
+    /// Forbidden by the format.
     Error,
 }
 
-/// One fault of a file.
+/// Fault of a file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// How bad it is.
+    /// Severity of the fault.
     pub severity: Severity,
-    /// Which rule is broken, for scripts: `ACCESSOR_RANGE`.
+    /// Code of the broken rule, for scripts: `ACCESSOR_RANGE`.
     pub code: &'static str,
-    /// Where: a JSON pointer into the glTF document, or an offset in bytes.
+    /// Place of the fault: a JSON pointer into the glTF document, or an offset in bytes.
     pub location: Location,
-    /// What the rule asks for.
+    /// Value required by the rule.
     pub expected: String,
-    /// What is there instead.
+    /// Value found.
     pub found: String,
 }
 
-/// Everything found in one file.
+/// All findings of a file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Validation {
     /// Path as given.
@@ -53,7 +53,7 @@ pub struct Validation {
     pub errors: usize,
     /// Number of findings that are warnings.
     pub warnings: usize,
-    /// Container first, then structure, then values.
+    /// Findings: container first, then structure, then values.
     pub findings: Vec<Finding>,
 }
 
@@ -68,7 +68,7 @@ pub struct Validation {
 /// * other files of splats: what the reader refuses.
 ///
 /// # Errors
-/// If the file cannot be read or is none of these. What is wrong *in* it is no error, but a finding.
+/// If the file cannot be read or is of none of these formats. Faults *in* the file are findings, not errors.
 pub fn validate(path: &Path) -> Result<Validation, FormatError> {
     let kind = kind(path)?;
     let mut findings = Findings::default();
@@ -89,12 +89,13 @@ pub fn validate(path: &Path) -> Result<Validation, FormatError> {
     Ok(Validation { file: path.display().to_string(), format, errors, warnings, findings })
 }
 
-/// As a [`Validation`] warns of them, one sentence each: mistyped properties of the hybrid extension in the JSON of a glTF.
+/// Warnings, as in a [`Validation`], about mistyped properties of the hybrid extension in the JSON of a glTF, one
+/// sentence each.
 pub(super) fn unknown_properties(root: &serde_json::Value) -> Vec<String> {
     gltf::unknown_properties(root)
 }
 
-/// Collects findings.
+/// Collector of findings.
 #[derive(Default)]
 struct Findings(Vec<Finding>);
 
@@ -121,13 +122,13 @@ impl Findings {
         self.add(Severity::Warning, code, at.into(), expected.into(), found.to_string());
     }
 
-    /// What a reader stopped at.
+    /// Adds a reader's fault as an error.
     fn fault(&mut self, code: &'static str, fault: Fault) {
         let (location, expected, found) = fault.into_parts();
         self.add(Severity::Error, code, location, expected, found);
     }
 
-    /// Makes a finding of what a reader stopped at in a file that could be read.
+    /// Turns a reader's content error into a finding.
     fn content<T>(&mut self, read: Result<T, FormatError>) -> Result<Option<T>, FormatError> {
         match read {
             Err(FormatError::Content { location, expected, found, .. }) => {
@@ -147,7 +148,7 @@ impl Findings {
     }
 }
 
-/// JSON pointers.
+/// Converts from a JSON pointer.
 impl From<String> for Location {
     fn from(pointer: String) -> Self {
         Self::Pointer(pointer)
@@ -166,7 +167,7 @@ impl From<&String> for Location {
     }
 }
 
-/// How many values broke a rule, and the first of them.
+/// Number of values that break a rule, and the first of them.
 #[derive(Default)]
 struct Offenders {
     count: usize,
@@ -181,7 +182,7 @@ impl Offenders {
         }
     }
 
-    /// `7 of 100, the first: …`; `None` if there were none.
+    /// Formats `7 of 100, the first: …`; `None` if no value breaks the rule.
     fn summary(self, of: usize) -> Option<String> {
         let first = self.first?;
         Some(format!("{} of {of}, the first: {first}", self.count))

@@ -1,4 +1,4 @@
-//! PLY files of splats.
+//! Validation of PLY files of splats.
 
 use std::io::Cursor;
 
@@ -8,19 +8,20 @@ use crate::format::ply::parse_splats;
 use crate::format::ply::table::{self, Body, Header};
 use crate::scene::sh;
 
-/// Logits beyond which opacities in f32 are 0 or 1.
+/// Magnitude of logits beyond which opacities in f32 are 0 or 1.
 const SATURATED: f64 = 20.0;
 
-/// Properties of every splat, but for the third scale, which flat ones do without.
+/// Properties of every splat, except for the third scale, which flat splats lack.
 const REQUIRED: [&str; 13] =
     ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"];
 
-/// Whether a splat is made of the property, be it one of every splat, of higher bands, or the filter of Mip-Splatting.
+/// Whether a property is a splat parameter: one of every splat, of higher bands, or the filter of Mip-Splatting.
 fn is_parameter(name: &str) -> bool {
     REQUIRED.contains(&name) || ["scale_2", "filter_3D"].contains(&name) || name.starts_with("f_rest_")
 }
 
-/// Checks a PLY in the INRIA layout, or a packed one. Any other (points, meshes) is held to its header and length alone.
+/// Checks a PLY in the INRIA layout, or a packed one. Of any other PLY (points, meshes), only the header and the length
+/// are checked.
 pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     let (ply, mut body) = match table::open(Cursor::new(bytes)) {
         Ok(ply) => ply,
@@ -40,7 +41,7 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         Err(fault) => return findings.fault("PLY_LENGTH", fault),
     }
     if vertex.scalar("packed_position").is_some() {
-        // All values are integers between the bounds of their chunk; what else can be wrong, the reader refuses.
+        // All values are integers between the bounds of their chunk; all other faults are reported by the reader.
         if !is_ambiguous && let Err(fault) = parse_splats(Cursor::new(bytes)) {
             findings.fault("PLY_PACKED", fault);
         }
@@ -93,7 +94,7 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
     let mut row_number = 0usize;
     let mut not_finite: Vec<(Offenders, usize)> = names.iter().map(|_| Default::default()).collect();
     let (mut zero, mut unnormalised) = ((Offenders::default(), 0), (Offenders::default(), 0));
-    // Where the first one stands is noted with it.
+    // The place of the first offender is recorded.
     let note = |(offenders, at): &mut (Offenders, usize), row_at: usize, what: &dyn Fn() -> String| {
         offenders.note(|| {
             *at = row_at;
@@ -108,7 +109,7 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
         |(), row| {
             for ((column, name), offenders) in names.iter().zip(&mut not_finite) {
                 let v = row.values[*column];
-                // A logit of ±∞ is an opacity of 0 or 1, a log-scale of −∞ a flat splat: readers know what is meant.
+                // A logit of ±∞ is an opacity of 0 or 1, a log-scale of −∞ a flat splat: readers understand both.
                 let is_meant =
                     (*column == opacity && v.is_infinite()) || (scales.contains(column) && v == f64::NEG_INFINITY);
                 if !v.is_finite() && !is_meant {
@@ -134,7 +135,8 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
     let n = row_number;
     for ((_, name), (offenders, at)) in names.iter().zip(not_finite) {
         let Some(found) = offenders.summary(n) else { continue };
-        // PLY allows any number; what is beside the splat, as normals and labels, can be of use without it.
+        // PLY allows any number; non-finite values of properties besides parameters, such as normals and labels, do not
+        // invalidate the splat.
         let severity = if is_parameter(name) { Severity::Error } else { Severity::Warning };
         findings.add(severity, "PLY_NOT_FINITE", Location::Byte(at as u64), "finite numbers".to_owned(), found);
     }
@@ -145,7 +147,7 @@ fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Fin
         let at = Location::Byte(unnormalised.1 as u64);
         findings.warning("PLY_ROTATION_NORM", at, "unit quaternions (readers normalise them)", found);
     }
-    // A handful of splats may be like that by chance.
+    // A handful of splats may look like that by chance.
     if n >= 100 && linear_opacities == n {
         let expected = "opacities as logits, from about -5 to 10";
         findings.warning("PLY_OPACITY_LINEAR", Location::File, expected, "all of them from 0 to 1");

@@ -1,16 +1,16 @@
-//! SPZ files.
+//! Validation of SPZ files.
 
 use super::{Findings, Offenders};
 use crate::format::error::Location;
 use crate::format::spz::container::{KNOWN_FLAGS, Packed, decode};
 use crate::scene::sh;
 
-/// By how much rounding may lengthen the components that are stored of a unit quaternion: half a step of 1/127.5 in each
-/// of three (version 2), or of √½/511.
+/// Amount by which rounding may lengthen the stored components of a unit quaternion: half a step of 1/127.5 in each of
+/// three (version 2), or of √½/511.
 const ROTATION_TOLERANCE: [f64; 2] = [0.01, 0.002];
 
-/// Values are bytes, so that none is infinite or NaN; what can be wrong is the container, and values at the ends of what
-/// bytes can say.
+/// Checks an SPZ file. Values are bytes, so none is infinite or NaN; possible faults are those of the container, and
+/// values at the ends of their ranges.
 pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     let Packed { header, streams, notes, unused, .. } = match decode(bytes) {
         Ok(packed) => packed,
@@ -69,7 +69,7 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
     }
 }
 
-/// Length of what is stored of a quaternion: x, y, z (three bytes), or the smallest three.
+/// Norm of the stored part of a quaternion: x, y, z (three bytes), or the smallest three.
 fn stored_norm(rotation: &[u8]) -> f64 {
     let squares: f64 = match *rotation {
         [x, y, z] => [x, y, z].iter().map(|&b| (f64::from(b) / 127.5 - 1.0).powi(2)).sum(),

@@ -1,4 +1,4 @@
-//! OpenUSD: what the reader stops at, and what readers put up with.
+//! Validation of OpenUSD: faults at which the reader stops, and those that readers tolerate.
 
 use std::path::Path;
 

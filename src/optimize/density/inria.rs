@@ -1,6 +1,6 @@
-//! INRIA's adaptive density control: clone or split where the screen-space gradient is large, prune what is
-//! transparent or huge (Kerbl et al. 2023, sec. 5.2); and that of AbsGS (Ye et al. 2024), which splits where the pixels' pulls are
-//! large even if they cancel: a large splat over fine texture.
+//! INRIA's adaptive density control: clone or split where the screen-space gradient is large, prune what is transparent
+//! or huge (Kerbl et al. 2023, sec. 5.2); and the variant of AbsGS (Ye et al. 2024), which splits where per-pixel
+//! gradients are large even if they cancel, as for a large splat over fine texture.
 
 use glam::Vec3;
 
@@ -13,9 +13,10 @@ use crate::{
     render::gpu::state::LOG_SCALE,
 };
 
-/// A child's scale is its parent's divided by 0.8 × the number of children.
+/// Divisor of a child's scale: 0.8 × the number of children.
 const SPLIT_SHRINKAGE: f32 = 1.6;
-/// Children are drawn from the parent's own Gaussian, but not outside of what of it is drawn (about 3.3 σ).
+/// Farthest offset of a child, in σ of the parent: offsets are drawn from the parent's own Gaussian, within the part of
+/// it that is rendered (about 3.3 σ).
 const SPLIT_REACH: f32 = 3.0;
 
 /// Thresholds of the strategy.
@@ -25,16 +26,16 @@ pub(in crate::optimize) struct InriaOptions {
     pub(in crate::optimize) extent: f32,
     /// Mean gradient from which a splat is cloned or split, normalised device coordinates: 2e-4.
     pub(in crate::optimize) gradient_threshold: f32,
-    /// Mean absolute gradient from which a splat is split, if that decides: 4e-4 (AbsGS).
+    /// Mean absolute gradient from which a splat is split, where that criterion is used: 4e-4 (AbsGS).
     pub(in crate::optimize) split_gradient: Option<f32>,
     /// Largest scale that is cloned rather than split, in extents: 0.01 (AbsGS: 0.001).
     pub(in crate::optimize) dense_fraction: f32,
-    /// Splats below this opacity are pruned: 0.005.
+    /// Opacity below which splats are pruned: 0.005.
     pub(in crate::optimize) min_opacity: f32,
-    /// Splats with a scale above this many extents are pruned, if set: 0.1 once opacities have been reset, before
-    /// which a large splat may still be the best explanation of a background.
+    /// Scale, in extents, above which splats are pruned, if set: 0.1 once opacities have been reset; before that a
+    /// large splat may still be the best explanation of a background.
     pub(in crate::optimize) max_scale: Option<f32>,
-    /// Growth stops here; the splats with the largest gradients, as parts of their thresholds, go first.
+    /// Largest number of splats. Those with the largest gradients, relative to their thresholds, grow first.
     pub(in crate::optimize) max_splats: usize,
 }
 
@@ -53,13 +54,13 @@ impl InriaOptions {
         }
     }
 
-    /// Those of AbsGS.
+    /// The constants of AbsGS, without pruning by scale.
     #[must_use]
     pub(in crate::optimize) fn absolute(extent: f32, max_splats: usize) -> Self {
         Self { split_gradient: Some(4e-4), dense_fraction: 0.001, ..Self::new(extent, max_splats) }
     }
 
-    /// The same with pruning by scale.
+    /// The same options with pruning by scale.
     #[must_use]
     pub(in crate::optimize) fn pruning_large(self) -> Self {
         Self { max_scale: Some(0.1), ..self }
@@ -74,10 +75,10 @@ enum Fate {
     Split,
 }
 
-/// One step. Afterwards the survivors come first in their old order, then clones, then children.
+/// One density step. Afterwards the survivors come first in their old order, then clones, then children of splits.
 ///
-/// Growth and pruning are decided together, on the splats as they come in: the outcome is that of growing first and
-/// pruning everything afterwards, but what is about to be pruned takes no room below `max_splats`.
+/// Growth and pruning are decided together, on the splats as they come in: the outcome equals growing first and pruning
+/// everything afterwards, except that splats about to be pruned do not count against `max_splats`.
 ///
 /// # Panics
 /// If there is not one row of statistics per splat.
@@ -92,7 +93,7 @@ pub(in crate::optimize) fn densify(
     assert_eq!(statistics.0.len(), n, "one row of statistics per splat");
     let max_scale = options.max_scale.map_or(f32::INFINITY, |m| m * options.extent);
     let is_pruned = |i: usize| splats.opacity(i) < options.min_opacity || splats.scales(i).max_element() > max_scale;
-    // The gradient that decides over its threshold.
+    // The gradient that decides, divided by its threshold.
     let urge = |i: usize, is_small: bool| match options.split_gradient {
         Some(threshold) if !is_small => statistics.absolute_gradient(i) / threshold,
         _ => statistics.mean_gradient(i) / options.gradient_threshold,
@@ -105,7 +106,7 @@ pub(in crate::optimize) fn densify(
         } else if is_small {
             Some(Fate::Clone)
         } else {
-            // Splitting may save a splat that is too large.
+            // Splitting may shrink a splat below the size at which it is pruned.
             (scale / SPLIT_SHRINKAGE <= max_scale).then_some(Fate::Split)
         }
     };
@@ -140,7 +141,7 @@ pub(in crate::optimize) fn densify(
     splats.retain(&keep);
 }
 
-/// Shrinks a copy of a parent and moves it by `offset` standard deviations along the parent's axes.
+/// Shrinks a copy and moves it by `offset`, in standard deviations along the parent's axes.
 fn move_child(splats: &mut Arrangement, child: usize, offset: Vec3) {
     splats.move_by(child, offset * splats.scales(child));
     splats.row_mut(child)[LOG_SCALE].iter_mut().for_each(|s| *s -= SPLIT_SHRINKAGE.ln());

@@ -1,5 +1,6 @@
-//! 3DGS-MCMC's density control: dead splats are moved onto living ones, and a few are added each time, in such a way
-//! that the picture hardly changes (Kheradmand et al. 2024). Unlike there, copies are set apart, and in hybrids splats that a mesh hides are dead.
+//! 3DGS-MCMC's density control (Kheradmand et al. 2024): dead splats are relocated onto living ones, and a few are
+//! added each time, such that the picture hardly changes. Unlike in the paper, copies are set apart, and in hybrids
+//! splats that a mesh hides count as dead.
 
 use glam::Vec3;
 use rand::RngExt;
@@ -15,16 +16,17 @@ use crate::{
     render::gpu::state::{LOG_SCALE, OPACITY, SMOOTHING, logit},
 };
 
-/// Most copies that a splat becomes at once.
+/// Largest number of copies, itself included, that one splat becomes in a step.
 const MAX_COPIES: usize = 51;
-/// Splats after a step over splats before it, at most.
+/// Largest growth factor of the number of splats per step.
 const MOST_GROWTH: f64 = 2.0;
-/// Part of the variance of a splat along its longest axis, as it is seen, that becomes the distance of its copies: two are 1.2 standard
-/// deviations apart and four fifths as long.
+/// Fraction of a splat's smoothed variance along its longest axis that becomes the spread of its copies: two are 1.2
+/// standard deviations apart and four fifths as long.
 const SPREAD: f32 = 0.36;
-/// Part of its own variance that does so at most: what is smaller than pixels is not shrunk to nothing.
+/// Upper bound on that spread as a fraction of the splat's own variance: splats smaller than pixels are not shrunk to
+/// nothing.
 const MOST_SPREAD: f32 = 0.75;
-/// Opacity that copies do not exceed if their source does not: the most that a pixel shows.
+/// Largest opacity of copies, unless their source exceeds it: the most that a pixel shows.
 const MOST_OPAQUE: f32 = 0.99;
 
 /// Weight of the mean opacity in the loss.
@@ -35,9 +37,9 @@ pub(in crate::optimize) fn scale_weight(unit: f32) -> f32 {
     0.01 / unit
 }
 
-/// Noise on the means in a step, in units of their rate: 5e5 where `unit` is 1 and rates are those of a full run, not larger by `haste`.
-/// It goes with a splat's covariance, the square of a length, and so over that of the unit: a splat moves by as much of its size in any
-/// unit, and in runs of any length.
+/// Noise on the means per step, relative to their learning rate: 5e5 where `unit` is 1 and rates are those of a full
+/// run. It multiplies a splat's covariance, a squared length, hence the division by the squared unit; the division by
+/// `haste`, the factor on the rates of short runs, keeps the noise the same in runs of any length.
 pub(in crate::optimize) fn noise(unit: f32, haste: f32) -> f32 {
     5e5 / (unit.powi(2) * haste)
 }
@@ -45,37 +47,39 @@ pub(in crate::optimize) fn noise(unit: f32, haste: f32) -> f32 {
 /// Thresholds of the strategy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::optimize) struct McmcOptions {
-    /// Splats of at most this opacity, as they are seen, are dead, and no copy gets less before it is smoothed: 0.005.
+    /// Opacity, as rendered (smoothed), up to which splats are dead; also the least unsmoothed opacity of copies:
+    /// 0.005.
     pub(in crate::optimize) min_opacity: f32,
-    /// Splats after a step over splats before it: 1.05, or more in runs with few steps, see [`Self::arriving_in`].
+    /// Growth factor of the number of splats per step: 1.05, or more in runs with few steps, see [`Self::arriving_in`].
     pub(in crate::optimize) growth: f64,
-    /// The number of splats that is grown to.
+    /// Number of splats to grow to.
     pub(in crate::optimize) max_splats: usize,
-    /// Splats whose blend weight, summed over an epoch, stays below this are dead too, and get no copies while it does, if set: 1e-3 for
-    /// scenes with a mesh. Behind one that is opaque a splat keeps its opacity, but shows nothing.
+    /// Blend weight summed over an epoch below which splats are dead too, and get no copies, if set: 1e-3 for scenes
+    /// with a mesh. Behind an opaque mesh a splat keeps its opacity, but shows nothing.
     pub(in crate::optimize) min_epoch_weight: Option<f32>,
-    /// Epochs that an epoch weight is summed over: 1, or as many as it takes for no splat to have been left out of all looks of a view.
+    /// Number of epochs that an epoch weight is summed over: 1, or enough that dropout has not left any splat out of
+    /// all renders of a view.
     pub(in crate::optimize) epochs: u32,
 }
 
 impl McmcOptions {
-    /// The paper's constants; for scenes with a mesh also what splats show, which is not in the paper.
+    /// The paper's constants; for scenes with a mesh also the criterion on blend weights, which is not in the paper.
     #[must_use]
     pub(in crate::optimize) fn new(max_splats: usize, has_mesh: bool) -> Self {
         Self { min_opacity: 0.005, growth: 1.05, max_splats, min_epoch_weight: has_mesh.then_some(1e-3), epochs: 1 }
     }
 
-    /// The same where steps leave out this part of the splats at random: no view may have missed one in all of its looks, but for one in a
-    /// thousand.
+    /// The same options where iterations drop out this part of the splats at random: with enough epochs that at most
+    /// one splat in a thousand is left out of all renders of a view.
     #[must_use]
     pub(in crate::optimize) fn with_dropout(self, part: f32) -> Self {
         let epochs = if part > 0.0 { (1e-3_f32.ln() / part.ln()).ceil().max(1.0) as u32 } else { 1 };
         Self { epochs, ..self }
     }
 
-    /// The same where `splats` are to be [`Self::max_splats`] after so many steps, this one among them: as much faster as that takes, at most
-    /// doubled with each. 5 % of 24 steps, which are those of 800 iterations, is three times as many splats, and of two runs that were
-    /// asked for one size, that which began with more splats would end with more.
+    /// The same options with growth fast enough for `splats` to become [`Self::max_splats`] within this many steps, the
+    /// present one included; at most doubling per step. The usual 5 % over 24 steps, as in 800 iterations, only triples
+    /// the number, and of two runs asked for one size, the one that began with more splats would end with more.
     #[must_use]
     pub(in crate::optimize) fn arriving_in(self, steps: u32, splats: usize) -> Self {
         let needed = (self.max_splats as f64 / splats.max(1) as f64).powf(1.0 / f64::from(steps.max(1)));
@@ -83,21 +87,22 @@ impl McmcOptions {
     }
 }
 
-/// Blend weight of every splat, summed until all training views have been seen for certain, [`McmcOptions::epochs`] times.
+/// Blend weight of every splat, summed until each training view has certainly been rendered [`McmcOptions::epochs`]
+/// times. Part of a checkpoint.
 ///
-/// A density interval is usually shorter than an epoch, and a splat that none of its views shows is not yet useless. Each run of as many
-/// iterations as there are views, n, has all of them in some order, so any 2n − 1 iterations hold a whole one.
-/// Part of a checkpoint.
+/// A density interval is usually shorter than an epoch, and a splat that none of its views shows is not yet useless.
+/// Each block of n iterations, n the number of views, has all views in some order, so any 2n − 1 iterations contain a
+/// whole block.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::optimize) struct EpochWeight {
-    /// `[N]` sums so far.
+    /// Sums so far, `[N]`.
     pub(in crate::optimize) weight: Vec<f32>,
-    /// Iterations so far.
+    /// Iterations summed so far.
     pub(in crate::optimize) iterations: u32,
 }
 
 impl EpochWeight {
-    /// Adds the statistics of some iterations.
+    /// Adds the statistics of a number of iterations.
     pub(in crate::optimize) fn add(&mut self, statistics: Statistics<'_>, iterations: u32) {
         self.weight.resize(statistics.0.len(), 0.0);
         self.weight.iter_mut().zip(statistics.0).for_each(|(sum, s)| *sum += s[2]);
@@ -105,13 +110,14 @@ impl EpochWeight {
     }
 }
 
-/// One step. Afterwards all splats are at their old place, followed by those added; a relocated splat takes over the
-/// whole row of its source.
+/// One density step. Afterwards all splats are at their old index, followed by those added; a relocated splat takes
+/// over the whole row of its source.
 ///
-/// `epoch`, to which what was seen since the last step has been added, is judged and begun anew when all `views` have been in it.
+/// `epoch`, to which the statistics since the last step have been added, is evaluated and restarted once it covers all
+/// `views`.
 ///
-/// The paper forgets the moments of sources only; this forgets those of relocated splats as well, which describe
-/// another place.
+/// The paper clears the moments of sources only; this also clears those of relocated splats, which describe another
+/// place.
 ///
 /// # Panics
 /// If there is not one epoch weight per splat.
@@ -125,13 +131,14 @@ pub(in crate::optimize) fn relocate_and_add(
 ) {
     let n = splats.len();
     assert_eq!(epoch.weight.len(), n, "one epoch weight per splat");
-    // Of (k + 1)·n − 1 iterations any hold k whole epochs.
+    // Any (k + 1)·n − 1 iterations contain k whole epochs.
     let epoch_ends = epoch.iterations >= views.saturating_mul(options.epochs.saturating_add(1)).saturating_sub(1);
     let min_weight = options.min_epoch_weight.filter(|_| epoch_ends).unwrap_or(0.0);
     let opacities: Vec<f32> = (0..n).into_par_iter().map(|i| splats.seen_opacity(i)).collect();
     let dead: Vec<usize> =
         (0..n).filter(|&i| opacities[i] <= options.min_opacity || epoch.weight[i] < min_weight).collect();
-    // By opacity, as in the paper. By the blend weight, splats as large as a background would get nearly all copies.
+    // Sampled by opacity, as in the paper. By blend weight, splats as large as a background would get nearly all
+    // copies.
     let scores_of = |least_weight: f32| -> Vec<f64> {
         let gets_copies = |&i: &usize| epoch.weight[i] >= least_weight;
         let mut scores = vec![0.0; n];
@@ -155,7 +162,7 @@ pub(in crate::optimize) fn relocate_and_add(
     }
     set_apart(splats, sources.iter().copied().zip(dead.iter().copied()));
 
-    // Few grow, too.
+    // Small sets grow too, by at least one.
     let grown = ((n as f64 * options.growth).round() as usize).max(n + usize::from(options.growth > 1.0));
     let target = grown.min(options.max_splats);
     let added = sample(&scores, target.saturating_sub(n), &mut rng);
@@ -171,12 +178,12 @@ pub(in crate::optimize) fn relocate_and_add(
     }
 }
 
-/// Opacity and factor on the scale of each of `copies` splats at one place that together look like one of `opacity`
-/// (eq. 9 of the MCMC paper): at the centre they are as opaque, and along a line through it in sum.
+/// Opacity and scale factor for each of `copies` coincident splats that together look like one of `opacity` (eq. 9 of
+/// the MCMC paper): equally opaque at the centre, and with the same integral along a line through it.
 #[must_use]
 pub(in crate::optimize) fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
     let copies = copies.clamp(1, MAX_COPIES);
-    // 1 − (1 − o)^(1/N), also for tiny o.
+    // 1 − (1 − o)^(1/N), accurate also for tiny o.
     let each = -((-opacity).ln_1p() / copies as f64).exp_m1();
     let mut denominator = 0.0;
     for i in 0..copies {
@@ -190,8 +197,8 @@ pub(in crate::optimize) fn relocation(opacity: f64, copies: usize) -> (f64, f64)
     if scale.is_finite() { (each, scale) } else { (each, 1.0) }
 }
 
-/// `count` indices with probabilities proportional to `scores`, each so often that it becomes [`MAX_COPIES`] at most; fewer if all have
-/// been drawn so often, none if all scores are 0.
+/// `count` indices drawn with probabilities proportional to `scores`, none more often than makes [`MAX_COPIES`] of it;
+/// fewer if all indices have reached that, none if all scores are 0.
 fn sample(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<usize> {
     let (mut drawn, mut times, mut scores) = (Vec::with_capacity(count), vec![0; scores.len()], scores.to_vec());
     while drawn.len() < count {
@@ -200,7 +207,7 @@ fn sample(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<usize> {
             break;
         }
         for i in more {
-            // Beyond that, what they look like together would change.
+            // With more copies their combined appearance would change.
             if times[i] < MAX_COPIES - 1 {
                 times[i] += 1;
                 drawn.push(i);
@@ -228,7 +235,7 @@ fn sample_with_repetition(scores: &[f64], count: usize, rng: &mut Pcg64) -> Vec<
     drawn.into_par_iter().map(|x| cumulative.partition_point(|&c| c <= x).min(last)).collect()
 }
 
-/// Gives every sampled splat the opacity and scale that it has in common with its copies-to-be, and no moments.
+/// Gives every sampled splat the opacity and scale that it will share with its copies, and clears its moments.
 fn share(splats: &mut Arrangement, scores: &mut [f64], sources: &[usize], min_opacity: f32) {
     let mut sorted = sources.to_vec();
     sorted.sort_unstable();
@@ -245,11 +252,12 @@ fn share(splats: &mut Arrangement, scores: &mut [f64], sources: &[usize], min_op
     }
 }
 
-/// Sets sources and their copies, pairs (source, copy), apart along the longest axis, which shrinks by as much as they spread: so many splats
-/// of equal weight keep their common mean and covariance.
+/// Moves sources and their copies, as pairs (source, copy), apart along the longest axis, and shrinks that axis to
+/// match: splats of equal weight keep their common mean and covariance.
 ///
-/// In the paper copies stay where their source is, for noise to part them, which moves next to nothing that is more opaque than 0.05. Pixels
-/// send copies at one place the same gradients, nearly, and Adam makes steps of one length of them: they remained copies.
+/// In the paper copies stay at their source until noise separates them, but noise moves next to nothing that is more
+/// opaque than 0.05. Pixels send coincident copies nearly the same gradients, from which Adam makes steps of one
+/// length: they would remain copies.
 fn set_apart(splats: &mut Arrangement, copies: impl Iterator<Item = (usize, usize)>) {
     let mut copies: Vec<(usize, usize)> = copies.collect();
     copies.sort_unstable();
@@ -259,13 +267,13 @@ fn set_apart(splats: &mut Arrangement, copies: impl Iterator<Item = (usize, usiz
             (splats.scales(source), splats.opacity(source), splats.row(source)[SMOOTHING]);
         let longest = scales.max_position();
         let scale = scales[longest];
-        // Of the longest axis as 1.
+        // Relative to the variance along the longest axis.
         let spread = (SPREAD * (1.0 + (smoothing / scale).powi(2))).min(MOST_SPREAD);
         let shrinkage = (1.0 - spread).sqrt();
-        // The variance of n numbers with steps of 1 is (n² − 1)/12.
+        // The variance of n numbers spaced 1 apart is (n² − 1)/12.
         let n = group.len() as f32 + 1.0;
         let step = Vec3::AXES[longest] * scale * (12.0 * spread / (n * n - 1.0)).sqrt();
-        // As much as before along a line through all of them.
+        // Keeps the integral of opacity along a line through all of them.
         let opacity = (opacity / shrinkage).min(opacity.max(MOST_OPAQUE));
         for (k, i) in std::iter::once(source).chain(group.iter().map(|pair| pair.1)).enumerate() {
             splats.move_by(i, step * (k as f32 - (n - 1.0) / 2.0));

@@ -1,4 +1,5 @@
-//! The parts of a run in the lists of a checkpoint: what `put_…` puts in, `take_…` takes out again, or says what is wrong with it.
+//! Parts of a run in the arrays of a checkpoint: what each `put_…` stores, the matching `take_…` takes out again, or
+//! says what is wrong with it.
 
 use glam::{Vec2, Vec3};
 use serde::de::DeserializeOwned;
@@ -10,14 +11,14 @@ use crate::{
     scene::{Atlas, Mesh, SceneError, Texture},
 };
 
-/// What was taken, or why it cannot be.
+/// The part taken out, or an error message.
 pub(super) type Taken<T> = Result<T, String>;
 
 pub(super) fn damaged(what: &str) -> String {
     format!("{what} is missing or damaged")
 }
 
-/// A field of the optimiser's own.
+/// A field of the checkpoint's metadata.
 pub(super) fn field<T: DeserializeOwned>(file: &Checkpoint, name: &str) -> Taken<T> {
     let value = file.meta.get(name).and_then(|value| T::deserialize(value).ok());
     value.ok_or_else(|| damaged(name))
@@ -79,7 +80,7 @@ fn take_mesh(i: usize, sizes: &Value, file: &mut Checkpoint) -> Taken<Mesh> {
     Mesh::new(positions, triangles, uvs, Atlas::new(base, bands).map_err(invalid)?).map_err(invalid)
 }
 
-/// Values by rows of `N`, of which none are left.
+/// Values as rows of `N`; an error if some are left over.
 fn rows<'a, T, const N: usize>(name: &str, values: &'a [T]) -> Taken<&'a [[T; N]]> {
     let (rows, rest) = values.as_chunks();
     if rest.is_empty() { Ok(rows) } else { Err(damaged(name)) }
@@ -109,7 +110,7 @@ pub(super) fn take_epoch(file: &mut Checkpoint) -> Taken<EpochWeight> {
     Ok(EpochWeight { weight: take_floats("epoch_weight", file)?, iterations: field(file, "epoch_iterations")? })
 }
 
-/// What views have of their own, as `what`.
+/// Stores per-view values and their moments under the name `what`.
 pub(super) fn put_views<const N: usize>(what: &str, of: PerView<N>, file: &mut Checkpoint) {
     let [first, second] = of.moments;
     for (part, floats) in [("values", of.values), ("m", first), ("v", second)] {
@@ -118,7 +119,7 @@ pub(super) fn put_views<const N: usize>(what: &str, of: PerView<N>, file: &mut C
     put_words(&format!("{what}/steps"), of.steps, file);
 }
 
-/// The same, if it is all there for so many views.
+/// Takes out the values of [`put_views`], if they are complete for this many views.
 pub(super) fn take_views<const N: usize>(what: &str, views: usize, file: &mut Checkpoint) -> Taken<PerView<N>> {
     let mut take = |part: &str| take_floats(&format!("{what}/{part}"), file);
     let whole = (take("values"), take("m"), take("v"), take_words(&format!("{what}/steps"), file));

@@ -1,5 +1,5 @@
-//! First colours of the shell behind everything: what photographs show there. It is so far away that they agree where it is right, and
-//! with every texel seen by few views, maps that begin grey would need longer than a warm-up is.
+//! Initial colours of the shell behind everything, from the photographs. The shell is so far away that photographs
+//! agree wherever it is right; and as each texel is seen by few views, grey maps would need longer than a warm-up.
 
 use glam::{DVec3, Vec2};
 use rayon::prelude::*;
@@ -12,9 +12,9 @@ use crate::{
     scene::{Atlas, Camera, Mesh, Texture, sh},
 };
 
-/// Opacity logit where a photograph shows it: 0.95, from which both ways are open.
+/// Opacity logit of painted texels: 0.95, from which training can go either way.
 const OPACITY: f32 = 3.0;
-/// Texels around a triangle that are painted as well, for those that blend at its edge.
+/// Border around a triangle that is painted too, texels, for those that are blended in at its edge.
 const MARGIN: f32 = 1.0;
 
 /// A triangle of the shell.
@@ -23,7 +23,7 @@ struct Face {
     spots: Vec<Spot>,
 }
 
-/// A texel of it.
+/// A texel of a face of the shell.
 struct Spot {
     index: usize,
     is_inside: bool,
@@ -38,8 +38,8 @@ impl Run<'_> {
         self.shell.is_some_and(|shell| shell.holds(mesh.positions()[triangle[0] as usize]))
     }
 
-    /// Paints the triangles of the shell with the mean of what those views show there that the maps are warmed up on, without their exposures.
-    /// Only views count that see all corners of a triangle past the rest.
+    /// Paints the triangles of the shell with the mean colour of the views that warm up the maps, with exposures
+    /// undone. A view counts for a triangle only if it sees all its corners past the rest of the mesh.
     pub(super) fn painted(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
         let is_far = |t: &[u32; 3]| self.is_of_shell(&mesh, t);
         let rest: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
@@ -87,7 +87,7 @@ impl Face {
                     let p = Vec2::new(x as f32, y as f32);
                     let (wa, wb) = ((c - b).perp_dot(p - b) / area, (a - c).perp_dot(p - c) / area);
                     let w = [wa, wb, 1.0 - wa - wb];
-                    // Distances from the sides, negative outside.
+                    // Signed distances from the sides, negative outside.
                     let inside = [0, 1, 2].map(|k| w[k] * heights[k]).into_iter().fold(f32::INFINITY, f32::min);
                     if inside >= -MARGIN && x < side && y < side {
                         let position = (0..3).map(|k| f64::from(w[k]) * corners[k]).sum();

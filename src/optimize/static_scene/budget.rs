@@ -1,18 +1,18 @@
-//! How much a scene may become, by what was asked for and what the adapter binds.
+//! Limits on the size of a scene, from the options and the adapter's binding sizes.
 
 use crate::{
     optimize::{MeshSource, TrainError, TrainOptions, memory},
     scene::{Mesh, Splats},
 };
 
-/// Bounds on splats and maps.
+/// Limits on splats and maps.
 pub(super) struct Budget<'a> {
     options: &'a TrainOptions,
-    /// Of all pictures.
+    /// Longest side of all pictures, pixels.
     longest_side: u32,
-    /// Most splats that the adapter binds.
+    /// Largest number of splats that the adapter can bind.
     bindable: usize,
-    /// Maps keep the size that they begin with.
+    /// Whether maps keep their initial size, never being packed again.
     maps_stay: bool,
 }
 
@@ -21,10 +21,10 @@ impl<'a> Budget<'a> {
         Self { options, longest_side, bindable, maps_stay: !source.is_found() || options.warmup == 0 }
     }
 
-    /// Whether meshes leave floats for a splat at least.
+    /// Checks that meshes leave floats for at least one splat.
     ///
     /// # Errors
-    /// With both numbers, if not.
+    /// [`TrainError::Budget`] with both numbers, if not.
     pub(super) fn check(&self, meshes: &[Mesh]) -> Result<(), TrainError> {
         let needed = meshes.iter().map(Mesh::floats).sum::<usize>() + Splats::floats_each(self.options.sh_degree);
         match self.options.max_floats {
@@ -33,7 +33,7 @@ impl<'a> Budget<'a> {
         }
     }
 
-    /// Most splats that the budgets and the adapter's bindings allow beside these meshes.
+    /// Largest number of splats that budgets and binding sizes allow beside these meshes.
     pub(super) fn splats_beside(&self, meshes: &[Mesh]) -> usize {
         let mesh: usize = meshes.iter().map(Mesh::floats).sum();
         let left = |floats: usize| floats.saturating_sub(mesh) / Splats::floats_each(self.options.sh_degree);
@@ -42,15 +42,15 @@ impl<'a> Budget<'a> {
         asked.min(by_floats).min(self.bindable)
     }
 
-    /// Side of the maps that a mesh has at most.
+    /// Largest side of a mesh's maps, texels.
     pub(super) fn largest_texture(&self) -> u32 {
         self.options
             .texture_size
             .unwrap_or_else(|| (3 * self.longest_side).div_ceil(2).next_power_of_two().clamp(128, 2048))
     }
 
-    /// Side of the maps that a mesh begins with. Those that nothing lays out anew leave at least half of a budget to the rest, as far
-    /// as charts have room.
+    /// Initial side of a mesh's maps, texels. Maps that are never packed again leave at least half of a budget to the
+    /// rest, space for charts permitting.
     pub(super) fn texture_size(&self) -> u32 {
         let wanted = self.largest_texture();
         let budget = self.options.max_floats.filter(|_| self.maps_stay);

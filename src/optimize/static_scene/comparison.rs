@@ -1,4 +1,4 @@
-//! Mesh and splats, each alone, beside the photographs.
+//! Comparison of mesh and splats, each rendered alone, with the photographs.
 
 use super::{Run, photographs::squared_error};
 use crate::{
@@ -8,8 +8,9 @@ use crate::{
 };
 
 impl<'a> Run<'a> {
-    /// Renders splats and mesh each alone from `views` and hands on, per view, the training, which has rendered the mesh last, the camera and
-    /// at every pixel the squared errors of mesh and splats (and a zero, for `Training::gather`); all three are zero where a mask leaves nothing in.
+    /// Renders splats and mesh each alone from `views`. `use_view` gets, per view, the training, which has rendered the
+    /// mesh last, the camera, and for every pixel the squared errors of mesh and splats (and a zero, for
+    /// `Training::gather`); all three are zero in masked-out pixels.
     pub(super) fn compare(
         &self,
         training: &mut Training<'a>,
@@ -38,7 +39,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// What a view's photograph shows of a rendered colour.
+    /// Rendered colour after the exposure of a view's photograph.
     fn exposed(&self, view: usize, rgb: [f32; 3]) -> [f32; 3] {
         self.exposures.as_ref().map_or(rgb, |exposures| exposures.apply(view, rgb))
     }

@@ -15,8 +15,8 @@ use crate::{
 };
 
 impl Run<'_> {
-    /// The density step or opacity reset that follows when so many iterations of this phase are `done`, if one does. Growth stops at
-    /// `max_splats`.
+    /// Runs the density step or opacity reset that is due after `done` iterations of this phase, if any. Growth stops
+    /// at `max_splats`.
     pub(super) fn control_density(
         &self,
         training: &mut Training,
@@ -25,7 +25,7 @@ impl Run<'_> {
         max_splats: usize,
         done: u32,
     ) -> Result<(), TrainError> {
-        // The clock of the schedule runs on from phase to phase.
+        // The schedule's clock continues from phase to phase.
         let (o, schedule, age) = (self.options, &plan.schedule, plan.clock + done);
         let (densify, reset) = (schedule.densifies_after(age), schedule.resets_opacity_after(age));
         if !densify && !reset {
@@ -34,7 +34,7 @@ impl Run<'_> {
         let statistics = training.read_statistics()?;
         let statistics = Statistics(bytemuck::cast_slice(&statistics));
         let mut splats = arrangement(training)?;
-        // What else is not finite is reported with the loss.
+        // Other non-finite values are reported with the loss.
         finite_group(splats.first_non_finite(), plan.phase, done)?;
         if densify {
             match o.density {
@@ -65,7 +65,7 @@ impl Run<'_> {
         }
         training.rearrange(splats.geometry(), splats.sources())?;
         if !densify {
-            // No splat was judged by what it has gathered.
+            // The statistics have not been used to judge splats, so they are kept.
             training.write_statistics(bytemuck::cast_slice(statistics.0));
         }
         training.smooth();

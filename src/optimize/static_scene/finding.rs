@@ -1,4 +1,4 @@
-//! Finding a surface, of the capture's points or of splats, and making a mesh of it.
+//! Making of a surface, from the capture's points or from splats, and of a mesh from it.
 
 use super::Run;
 use crate::{
@@ -10,14 +10,15 @@ use crate::{
 };
 
 impl Run<'_> {
-    /// Fuses triangles of the points that the training views see, or the median depths of the splats as they are.
+    /// Makes a mesh by fusing triangles between the points that the training views see, or the median depths of the
+    /// present splats.
     pub(super) fn find_surface(&mut self, training: &mut Training, of_points: bool) -> Result<Mesh, TrainError> {
         let planar = self.options.planar;
         if of_points {
             let photos = &self.photos;
             let photo_of = |view: &View| photos.are_cut_out.then(|| photos.whole(view)).transpose();
             let views = seen_points::point_views(self.capture, &self.cameras, &self.train, photo_of)?;
-            // Else what is left would be guesses, where splats know better.
+            // With few points left the surface would be a guess, where splats know better.
             if !seen_points::are_few_left(self.capture, &self.train, &views) {
                 match fused::from_points(self.capture, &views, self.options.triangles, planar) {
                     Ok((surface, _, origin)) => {
@@ -39,7 +40,8 @@ impl Run<'_> {
         self.textured(training, surface)
     }
 
-    /// With empty maps, and with what training views see past the surface on a shell around it, painted, if there is one.
+    /// Turns a surface into a mesh with empty maps; if there is a shell, what training views see past the surface is
+    /// added on it and painted.
     fn textured(&self, training: &Training, surface: Surface) -> Result<Mesh, TrainError> {
         let surface = match &self.shell {
             // Past the surface is where nothing of it is, whatever may show through.

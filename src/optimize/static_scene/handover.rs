@@ -1,4 +1,4 @@
-//! Back from a mesh to the splats that it does not make superfluous.
+//! Handover: selection of the splats that a mesh does not make superfluous.
 
 use super::{Run, arrangement};
 use crate::{
@@ -6,14 +6,15 @@ use crate::{
     render::gpu::training::{Show, Training},
 };
 
-/// Splats of which one stays at least, however good the mesh is: density control can copy what there is, and nothing else.
+/// Inverse of the least fraction of splats that stay, however good the mesh is: density control can only copy existing
+/// splats.
 const KEEPS_ONE_OF: usize = 100;
 
 impl<'a> Run<'a> {
-    /// Keeps those splats of the surface phase that explain the photographs better than the mesh does, which has the smooth
-    /// regions, as in HERA: a splat goes if the mesh alone has no larger squared error than the splats
-    /// alone over its footprint in all views. What remains is mostly fine structure, at most `max_splats` of them.
-    /// How far views tell what remains is measured anew.
+    /// Keeps those splats of the surface phase that explain the photographs better than the mesh, which takes over the
+    /// smooth regions, as in HERA: a splat is removed if over its footprint in all views the squared error of the mesh
+    /// alone is no larger than that of the splats alone. What remains is mostly fine structure, at most `max_splats`.
+    /// Their smoothing is measured anew.
     pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
         let mut splats = arrangement(training)?;
         let (mut advantage, mut seen) = (vec![0.0_f64; splats.len()], vec![false; splats.len()]);
@@ -32,8 +33,9 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Which splats stay, `[N]`, by how much better than the mesh each is, and whether any view sees it: those that are better, the best first, and
-/// one of [`KEEPS_ONE_OF`] at least, but no more than `max_splats`. Of what nobody sees density control would make nothing.
+/// Which splats stay, `[N]`, by their `advantage` over the mesh and whether any view sees them: those with a positive
+/// advantage, best first, at least one of [`KEEPS_ONE_OF`], and no more than `max_splats`. Unseen splats rank last:
+/// density control would make nothing of them.
 fn kept(advantage: &[f64], seen: &[bool], max_splats: usize) -> Vec<bool> {
     let mut ranked: Vec<usize> = (0..advantage.len()).collect();
     ranked.sort_by(|&a, &b| seen[b].cmp(&seen[a]).then(advantage[b].total_cmp(&advantage[a])));

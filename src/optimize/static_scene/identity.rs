@@ -1,4 +1,4 @@
-//! What a run is of, by which its checkpoint is told from those of others.
+//! Identity of a run's input, by which its checkpoint is told from those of others.
 
 use std::path::Path;
 
@@ -61,7 +61,7 @@ fn of_mesh(source: &MeshSource) -> InputMesh {
     }
 }
 
-/// FNV-1a of the bits of these numbers.
+/// FNV-1a hash of the bits of these numbers.
 fn digest(numbers: impl Iterator<Item = f64>) -> u64 {
     let bytes = numbers.flat_map(|number| number.to_bits().to_le_bytes());
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))

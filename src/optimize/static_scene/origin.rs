@@ -1,4 +1,5 @@
-//! Scenes far from the origin of their coordinates are trained around it: there 32-bit floats hold a step of training.
+//! Recentring: scenes far from the origin are trained in a frame centred on their cameras, where 32-bit floats resolve
+//! a step of training.
 
 use glam::{DMat3, DVec3};
 
@@ -10,20 +11,21 @@ use crate::{
     scene::{Camera, SceneError, center_and_spread},
 };
 
-/// Extents that cameras may be away from the origin. At the end means move by some 1.6e-6 of an extent, and floats round what is ten extents
-/// away by up to 5e-7: what is thirty times as far away as it is large would stand still then, and farther away before.
+/// Largest distance of the cameras' mean from the origin, in extents, at which a scene stays where it is. At the end of
+/// training means move by some 1.6e-6 of an extent, and floats round coordinates ten extents away by up to 5e-7: a
+/// scene thirty of its sizes away would stand still then, and farther away before.
 const FAR: f64 = 8.0;
 
-/// Where a scene is trained that is given far from the origin.
+/// Frame in which a scene far from the origin is trained.
 pub(super) struct Origin {
-    /// To the frame in which cameras are around the origin.
+    /// Transform to the frame centred on the cameras.
     there: Similarity,
-    /// From that frame.
+    /// Transform from that frame.
     back: Similarity,
 }
 
 impl Origin {
-    /// `None` for what may stay where it is.
+    /// The frame for a capture; `None` if it may stay where it is.
     pub(super) fn of(capture: &Capture) -> Result<Option<Self>, SceneError> {
         let cameras = capture.cameras();
         let (mean, _) = center_and_spread(&cameras);
@@ -41,7 +43,7 @@ impl Origin {
         for view in &mut capture.views {
             view.camera = self.there.camera(&view.camera)?;
             if is_one_place {
-                // What rounding leaves would be an extent there.
+                // Rounding would otherwise leave an extent there.
                 view.camera = Camera::new(*view.camera.intrinsics(), view.camera.rotation(), DVec3::ZERO)?;
             }
         }
@@ -56,7 +58,7 @@ impl Origin {
         source
     }
 
-    /// What was trained, where it was given.
+    /// The trained result in the capture's own frame.
     pub(super) fn trained(&self, trained: Trained) -> Result<Trained, TrainError> {
         let mut poses = trained.poses;
         for (_, pose) in &mut poses {

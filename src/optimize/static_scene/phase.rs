@@ -1,4 +1,4 @@
-//! One phase of a run, iteration by iteration: a view, density control, and now and then a look at how it goes.
+//! One phase of a run, iteration by iteration: a step on one view, density control, and regular reports.
 
 use std::{sync::atomic::Ordering, time::Instant};
 
@@ -30,14 +30,15 @@ use crate::{
     stats::median,
 };
 
-/// Iterations between looks at the loss: each waits for the GPU.
+/// Iterations between reports of the loss, each of which waits for the GPU.
 const REPORT_EVERY: u32 = 10;
-/// Iterations of a phase that are each looked at for lists that were too short, or as many as there are views.
+/// Number of first iterations of a phase, if there are no fewer views, each of which is checked for lists that were too
+/// short.
 const LOOKS_AT_FIRST: u32 = 300;
-/// Iterations between measurements of how far splats are smoothed, and of the last ones in which that stays (Mip-Splatting).
+/// Iterations between measurements of how far splats are smoothed; in as many last ones it stays fixed (Mip-Splatting).
 const SMOOTH_EVERY: u32 = 100;
-/// Higher bands of the maps learn slower than the zeroth by this factor, as those of splats do by 20 (INRIA 3DGS): a
-/// texel is seen by few views, and all of them would otherwise be explained by its bands.
+/// Divisor of the learning rate for higher bands of the maps relative to the zeroth, as with those of splats, where it
+/// is 20 (INRIA 3DGS): a texel is seen by few views, and all of them would otherwise be explained by its bands.
 const BAND_RATE_DIVISOR: f32 = 5.0;
 
 impl Run<'_> {
@@ -59,7 +60,7 @@ impl Run<'_> {
         Ok(outcome)
     }
 
-    /// Sets vertices and poses free as far as the phase moves them, and puts what was saved in place.
+    /// Enables the moving of vertices and poses that the phase moves, and restores a saved state.
     fn begin(
         &self,
         training: &mut Training,
@@ -80,7 +81,8 @@ impl Run<'_> {
         match saved {
             Some(saved) => saved.restore(training),
             None => {
-                // Splats that go on keep their deviations, and `hand_over` measures those that it leaves; in the warm-up they rest.
+                // Continuing splats keep their smoothing, and `hand_over` measures that of the ones it leaves; in the
+                // warm-up splats rest.
                 if plan.phase != Phase::Warmup && plan.clock == 0 {
                     training.smooth();
                 }
@@ -105,9 +107,9 @@ impl Run<'_> {
             done += 1;
             let mut stop = self.session.stop.load(Ordering::Relaxed);
             let reports = self.reports_after(plan, done) || stop;
-            // After the last iteration of all there is nothing to stop, nor to go on from.
+            // After the last iteration of the run there is nothing to stop, nor to resume.
             let is_last = done == plan.iterations && plan.phase == Phase::Joint;
-            // Also at the end of a phase: what follows takes minutes, and writes files that may not fit on the disk.
+            // A phase's end saves too: what follows takes minutes, and writes files that may not fit on the disk.
             let ends = done == plan.iterations && self.options.checkpoint_every > 0;
             let saves = stop || ends || is_due(done, self.options.checkpoint_every);
             let mut seen = None;
@@ -124,7 +126,7 @@ impl Run<'_> {
             self.log.reached = (plan.phase, done);
             self.after_step(training, plan, epoch, most, done)?;
             if plan.phase == Phase::Joint && (reports || saves) {
-                // Steps are only on their way until then, and what waits for them is no part of them.
+                // Steps run asynchronously until this wait; what follows it does not count as their time.
                 self.session.gpu.wait()?;
             }
             self.log.count(plan.phase, begin);
@@ -136,9 +138,11 @@ impl Run<'_> {
                 let past = self.log.past.clone();
                 let saved = Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?;
                 let written = saved.write(path, &self.identity);
-                // Scores at the end of a phase take long enough for somebody to stop it there, and what follows longer.
+                // Scores at the end of a phase take long enough for the user to stop the run there, and what follows
+                // longer.
                 stop |= ends && self.session.stop.load(Ordering::Relaxed);
-                // Not of the last iteration, or of an end nobody has asked for: where there is no room for it, there may be for the scene.
+                // A failed write after the last iteration, or at a phase's end that was not asked for, is ignored:
+                // there may still be room for the scene.
                 if !is_last && (stop || is_due(done, self.options.checkpoint_every)) {
                     written?;
                 }
@@ -150,18 +154,18 @@ impl Run<'_> {
         Ok(Outcome::Finished)
     }
 
-    /// Whether a run that nobody stops reports after so many iterations.
+    /// Whether an uninterrupted run reports after `done` iterations.
     fn reports_after(&self, plan: &Plan, done: u32) -> bool {
         is_due(done, REPORT_EVERY) || self.evaluates_after(plan, done)
     }
 
-    /// Whether such a report has the PSNR of held-out views.
+    /// Whether the report after `done` iterations includes the PSNR of held-out views.
     fn evaluates_after(&self, plan: &Plan, done: u32) -> bool {
         is_due(done, self.options.eval_every) || done == plan.iterations
     }
 
-    /// Whether it is found out after so many iterations if lists were too short for the last ones, besides when the host waits for them
-    /// anyway: often at first, where it costs little and most are too short, and before anything happens between steps.
+    /// Whether to check after `done` iterations that lists were long enough, besides when the host waits for the GPU
+    /// anyway: often at first, when most are too short and little is lost, and before anything happens between steps.
     fn looks_after(&self, plan: &Plan, done: u32) -> bool {
         let epoch_length = self.train.len() as u32;
         let age = plan.clock + done;
@@ -170,7 +174,8 @@ impl Run<'_> {
         self.session.gpu.profile().is_cpu || done <= epoch_length.min(LOOKS_AT_FIRST) || between
     }
 
-    /// What happens between steps, each at its own interval: density control, smoothing, and exposures and poses about their means.
+    /// Actions between steps, each at its own interval: density control, smoothing, and centring of exposures and
+    /// poses.
     fn after_step(
         &self,
         training: &mut Training,
@@ -204,7 +209,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// One view: forward, backward, Adam.
+    /// One training step on one view: forward, backward, Adam.
     pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
         let view = self.view_at(plan, t);
         let photo = self.photos.of_step(view, self.view_at(plan, t + 1))?;
@@ -277,7 +282,7 @@ impl Run<'_> {
             let is_joint = plan.phase == Phase::Joint;
             let base_rate = texel_rate(o, is_joint.then_some((t, plan.iterations)));
             TexelStep {
-                // Maps that were laid out anew have no moments from the warm-up.
+                // Maps that were packed anew have no moments from the warm-up.
                 number: if is_joint && !self.finds_surface() { o.warmup + t + 1 } else { t + 1 },
                 base_rate,
                 band_rate: base_rate / BAND_RATE_DIVISOR,
@@ -296,15 +301,15 @@ impl Run<'_> {
         })
     }
 
-    /// Part of the splats that an iteration leaves out.
+    /// Part of the splats that an iteration drops.
     pub(super) fn dropout(&self, plan: &Plan, age: u32) -> f32 {
         let most = self.options.dropout.unwrap_or_else(|| TrainOptions::dropout_of(self.train.len()));
         plan.schedule.dropout(age, most)
     }
 
-    /// Training views that judge a fused surface (`true`) or that its maps are warmed up on (`false`): every fourth judges,
-    /// so that maps are not taken for good where they merely repeat the views that they were made from. Splats have learnt from all:
-    /// of few views they cannot spare any.
+    /// Training views that judge a made surface (`true`) or warm up its maps (`false`): every fourth judges, so that
+    /// maps which merely repeat the views they were made from are not taken for good. Splats have learnt from all. With
+    /// fewer than eight views all do both, as splats cannot spare any.
     pub(super) fn views(&self, judges: bool) -> Vec<usize> {
         if !self.finds_surface() || self.train.len() < 8 {
             return self.train.clone();
@@ -342,7 +347,7 @@ impl Run<'_> {
             seconds: self.log.seconds(),
         };
         (self.session.progress)(&progress);
-        // A run that is stopped and resumed has the history of any other.
+        // Reports caused by a stop are not in the history, which so equals that of an uninterrupted run.
         if self.reports_after(plan, done) {
             self.log.past.history.push(progress);
         }
@@ -368,20 +373,22 @@ impl Run<'_> {
     }
 }
 
-/// Learning rate of texels in a warm-up or, where `joint` is (t, n), after t of the n iterations of the phase after it: there as after the
-/// usual warm-up or a longer one, as a short one is no reason to keep maps noisy to the end.
+/// Learning rate of texels in a warm-up, or, with `joint` = (t, n), after t of the n iterations of the joint phase:
+/// that begins as if after a warm-up of at least the usual length, as a short one is no reason to keep maps noisy to
+/// the end.
 pub(super) fn texel_rate(options: &TrainOptions, joint: Option<(u32, u32)>) -> f32 {
     let usual = if joint.is_some() { TrainOptions::warmup_of(options.iterations) } else { 0 };
     let warm = schedule::texel_rate(options.warmup.max(usual), options.dense_texels);
     joint.map_or(warm, |(t, iterations)| schedule::joint_texel_rate(warm, t, iterations))
 }
 
-/// Whether something that happens after every `every` iterations (0: never) happens now.
+/// Whether an event that happens every `every` iterations (0: never) is due after `done`.
 fn is_due(done: u32, every: u32) -> bool {
     every > 0 && done.is_multiple_of(every)
 }
 
-/// World size of a pixel on the meshes, but for the shell: the median over vertices and cameras that have them in front.
+/// World size of a pixel on the meshes, excluding the shell: the median over vertices and the cameras that they are in
+/// front of.
 fn pixel_size(cameras: &[Camera], meshes: &[Mesh], shell: Option<&Shell>) -> f32 {
     let is_near = |p: &&Vec3| shell.is_none_or(|shell| !shell.holds(**p));
     let positions = || meshes.iter().flat_map(Mesh::positions).filter(is_near);

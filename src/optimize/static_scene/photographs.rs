@@ -1,4 +1,4 @@
-//! The photographs of a run, at the size at which they are trained on, and how renders are compared with them.
+//! Photographs of a run, at the size at which they are trained on, and their comparison with renders.
 
 use std::sync::Arc;
 
@@ -10,31 +10,31 @@ use crate::{
     render::gpu::loss::TruthAlpha,
 };
 
-/// Decoded photographs are kept up to this many bytes, of whatever size.
+/// Most bytes of decoded photographs to keep in memory, of all sizes together.
 const BUDGET: usize = 2 << 30;
 
-/// Decoded as they are asked for, and kept.
+/// Photographs, decoded on demand and cached.
 pub(super) struct Photographs<'a> {
     views: &'a [View],
-    /// Bytes of all that is kept.
+    /// Most bytes of all caches together.
     budget: usize,
     cache: PhotoCache,
     small: Option<Small>,
-    /// They have masks or alpha: nothing is behind what they show.
+    /// Whether photographs have masks or alpha: then nothing is behind what they show.
     pub(super) are_cut_out: bool,
 }
 
-/// The views while they are trained on at less than their size.
+/// Views while they are trained on at a reduced size.
 struct Small {
-    /// Of both sides.
+    /// Scale of both sides.
     scale: f64,
     views: Vec<View>,
     cache: PhotoCache,
 }
 
 impl<'a> Photographs<'a> {
-    /// Looks at those of training (`train`) and some that are held out (`test`): any may have alpha, and one that cannot be read is better
-    /// known now than in an hour.
+    /// Decodes the training views and some held-out ones (`test`): any may have alpha, and one that cannot be read is
+    /// better reported now than in an hour.
     pub(super) fn open(
         capture: &'a Capture,
         train: &[usize],
@@ -60,12 +60,12 @@ impl<'a> Photographs<'a> {
         Ok(Self { views, budget, cache, small: None, are_cut_out })
     }
 
-    /// Of a view of the capture, at its full size.
+    /// Photograph of a view of the capture, at its full size.
     pub(super) fn whole(&self, view: &View) -> Result<Arc<Photo>, CaptureError> {
         self.cache.get(view)
     }
 
-    /// From now on [`Self::of_step`] gives pictures with their sides scaled so.
+    /// Sets the scale of the sides of pictures that [`Self::of_step`] returns from now on.
     pub(super) fn resize(&mut self, scale: f64) {
         if self.small.as_ref().map_or(1.0, |small| small.scale) == scale {
             return;
@@ -78,7 +78,8 @@ impl<'a> Photographs<'a> {
             return;
         }
         let views: Vec<View> = self.views.iter().map(|view| view.scaled(scale)).collect();
-        // The steps want these; whole photographs, which the phases' ends want, are kept beside them as far as there is room.
+        // Steps have priority; full-size photographs, needed at the ends of phases, are kept as far as there is room
+        // beside them.
         let wanted = PhotoCache::budget_for(&views).min(self.budget - self.budget / 8);
         if self.cache.bytes() + wanted > self.budget {
             self.cache = PhotoCache::new(self.budget - wanted);
@@ -86,7 +87,7 @@ impl<'a> Photographs<'a> {
         self.small = Some(Small { scale, views, cache: PhotoCache::new(wanted) });
     }
 
-    /// What a step sees of a view, by its index; that of the `next` is decoded while this one is on the GPU.
+    /// Photograph for a step on view `view`; that of view `next` is decoded while this one is on the GPU.
     pub(super) fn of_step(&self, view: usize, next: usize) -> Result<Arc<Photo>, CaptureError> {
         let (views, cache) = match &self.small {
             Some(small) => (small.views.as_slice(), &small.cache),
@@ -97,7 +98,7 @@ impl<'a> Photographs<'a> {
     }
 }
 
-/// What a photograph's alpha means, as in its evaluation.
+/// Meaning of a photograph's alpha, as in its evaluation.
 pub(super) fn truth_alpha(photo: &Photo) -> TruthAlpha {
     match (photo.masked, photo.has_alpha) {
         (true, _) => TruthAlpha::Mask,

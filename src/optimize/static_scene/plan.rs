@@ -1,12 +1,12 @@
-//! What each phase of a run does, and when.
+//! Contents and schedule of each phase of a run.
 
 use super::{Phase, Run};
 use crate::optimize::{Background, Density, resolution::ResolutionSchedule, schedule::Schedule};
 
-/// What one phase does.
+/// Contents and schedule of one phase.
 pub(super) struct Plan {
     pub(super) phase: Phase,
-    /// Iterations done before this run.
+    /// Iterations of this phase done before this run.
     pub(super) from: u32,
     pub(super) iterations: u32,
     /// Iterations of the splats before this phase.
@@ -18,10 +18,10 @@ pub(super) struct Plan {
 }
 
 impl Run<'_> {
-    /// For a phase of which `from` iterations are done.
+    /// Plan for a phase of which `from` iterations are done.
     pub(super) fn plan(&self, phase: Phase, from: u32, has_mesh: bool) -> Plan {
         let o = self.options;
-        // Surface and joint phase are two parts of one run of the splats: their clock goes on.
+        // Surface and joint phase are two parts of one run of the splats, with one clock.
         let before = o.surface_phase_iterations();
         let is_second_part = phase == Phase::Joint && self.finds_surface();
         let iterations = o.iterations_of(phase, self.finds_surface());
@@ -37,10 +37,10 @@ impl Run<'_> {
             schedule = schedule.before_surface(before);
         }
         if is_second_part {
-            // Where nothing of the mesh was kept, nothing was handed over.
+            // If no triangle was kept, there was no handover.
             schedule = if has_mesh { schedule.handed_over(before) } else { schedule.after_surface(before) };
         }
-        // A surface is made of splats, and maps are warmed up, at full size.
+        // Surfaces are made, and maps warmed up, at full size.
         let half = o.iterations / 2;
         let full_from = match phase {
             _ if !o.coarse_to_fine => 0,

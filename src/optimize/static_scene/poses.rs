@@ -1,4 +1,4 @@
-//! Poses of the training views, refined along with splats as long as there is no mesh.
+//! Refinement of the training views' poses, along with splats as long as there is no mesh.
 
 use super::{Phase, Run, plan::Plan};
 use crate::{
@@ -7,12 +7,12 @@ use crate::{
     scene::Camera,
 };
 
-/// How a training view was refined.
+/// Refinement of a training view's pose.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct RefinedPose {
-    /// By how much it was turned, degrees.
+    /// Angle of rotation, degrees.
     pub degrees: f64,
-    /// By how much its centre was moved, in the capture's unit.
+    /// Shift of the camera's centre, in the capture's unit.
     pub distance: f64,
     /// Rows of [R|t], OpenCV axes.
     pub world_to_camera: [[f64; 4]; 3],
@@ -32,7 +32,7 @@ impl RefinedPose {
         }
     }
 
-    /// Moves with a world that is shifted.
+    /// Adapts the pose to a world shifted by `shift`.
     pub(super) fn follow(&mut self, shift: glam::DVec3) {
         for [x, y, z, t] in &mut self.world_to_camera {
             *t -= glam::DVec3::new(*x, *y, *z).dot(shift);
@@ -41,23 +41,24 @@ impl RefinedPose {
 }
 
 impl Run<'_> {
-    /// Whether poses are refined in this phase: there is no mesh in it, whose gradients by the pose are not summed.
+    /// Whether poses are refined in this phase: only without a mesh, whose gradients with respect to the pose are not
+    /// computed.
     pub(super) fn refines_poses(&self, phase: Phase) -> bool {
         self.options.refine_poses && (phase == Phase::Surface || !self.finds_surface())
     }
 
-    /// Where poses begin.
+    /// Poses before refinement.
     pub(super) fn given_poses(&self) -> PoseState {
         PoseState::new(self.cameras.len())
     }
 
-    /// What iteration `t` does to the pose of its view.
+    /// Pose step of iteration `t` for its view.
     pub(super) fn pose_step(&self, plan: &Plan, view: usize, t: u32) -> Option<PoseStep> {
         let rate = schedule::pose_rate(t, plan.iterations, self.train.len(), self.options.pose_reach.to_radians());
         self.refines_poses(plan.phase).then_some(PoseStep { view, turn_rate: rate, shift_rate: rate * self.extent })
     }
 
-    /// From now on cameras are as refined.
+    /// Makes the refined poses those of the run's cameras.
     pub(super) fn fix_poses(&mut self, poses: PoseState) {
         for &i in &self.train {
             self.cameras[i] = poses.apply(i, &self.capture.views[i].camera);
@@ -66,7 +67,7 @@ impl Run<'_> {
         self.poses = Some(poses);
     }
 
-    /// By the names of training views, what was found; empty if nothing was sought.
+    /// Refinements by name of training view; empty if none were made.
     pub(super) fn refined_poses(&self) -> Vec<(String, RefinedPose)> {
         let of_view = |&i: &usize| {
             let view = &self.capture.views[i];

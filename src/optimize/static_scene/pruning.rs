@@ -1,4 +1,4 @@
-//! What ends up showing nothing is dropped after training: splats behind an opaque mesh, and triangles that have become invisible.
+//! Removal, after training, of splats behind an opaque mesh and of triangles that have become invisible.
 
 use glam::DVec2;
 
@@ -10,15 +10,15 @@ use crate::{
     scene::{Mesh, Splats, gather},
 };
 
-/// Part of what a splat would show of itself without the mesh that it shows at most beside it.
+/// Largest blend weight of a splat beside the mesh, relative to that without the mesh, at which it counts as hidden.
 const SHOWN: f64 = 0.02;
-/// Mean opacity below which a triangle goes after training: 0.02, at most 5 of 255 steps.
+/// Mean opacity below which a triangle is removed after training: 0.02, at most 5 of 255 steps.
 const FAINT: f64 = 0.02;
 
 impl Run<'_> {
-    /// The trained splats without those that the mesh hides from all training views: by rays to them, see
-    /// [`geometry::occluded_splats`], and, since these miss what is between, by their blend weights with the mesh and without it, both
-    /// as far as masks leave the views.
+    /// The trained splats without those that the mesh hides from all training views: by rays towards them, see
+    /// [`geometry::occluded_splats`], and, since rays miss what is between them, by their blend weights with the mesh
+    /// and without it. Masked-out pixels do not count in either.
     pub(super) fn without_occluded(
         &self,
         training: &mut Training,

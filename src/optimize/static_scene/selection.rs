@@ -1,5 +1,5 @@
-//! Which triangles of a fused surface are worth their texels: in HERA the mesh has the smooth regions. Huang et al. 2025 tell these by
-//! their shape; here photographs judge.
+//! Selection of the triangles of a made surface that are worth their texels: in HERA the mesh has the smooth regions.
+//! Huang et al. 2025 tell these by their shape; here photographs judge.
 
 use glam::Vec2;
 
@@ -15,35 +15,36 @@ use crate::{
     scene::{Atlas, Mesh},
 };
 
-/// A triangle stays if around it the squared error of the maps alone is no larger than this times that of the splats
-/// alone. Maps need no view dependence to be perfect: splats are added to them.
+/// Largest ratio of the squared error of the maps alone to that of the splats alone around a triangle for it to stay.
+/// Maps need not be perfect without view dependence: splats are added to them.
 const WORST_RATIO: f64 = 2.5;
-/// Part of a budget that maps may take of what they cover of the pictures …
+/// Fraction of a budget for maps, per fraction of the pictures that they cover …
 const MAPS_SHARE: f64 = 0.4;
-/// … and of all, but for rounding to multiples of 32 and the room that charts need: with more, too few splats are left for what maps do not show (`docs/experiments.md`).
+/// … and upper bound on it, apart from rounding to multiples of 32 and the room that charts need: with more, too few
+/// splats are left for what maps do not show (`docs/experiments.md`).
 const MOST_FOR_MAPS: f64 = 0.15;
-/// Pixels of the smallest connected piece: below some 16×16 a chart's gutter costs more than the chart holds.
+/// Least size of a connected piece, pixels: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
-/// Share of an atlas that charts cover, for choosing its size.
+/// Assumed fraction of an atlas that charts cover, for choosing its size.
 const COVERAGE: f64 = 0.6;
-/// Texels to a pixel, on the mean of the views that see a triangle, most of them at a slant: enough for the ones that face it. With one,
-/// splats stay in front of what maps are too coarse for (`docs/experiments.md`).
+/// Texels per pixel, on average over the views that see a triangle, most of them at a slant: enough for those that face
+/// it. With one, splats stay in front of maps that are too coarse (`docs/experiments.md`).
 const TEXELS_PER_PIXEL: f64 = 2.0;
-/// Texels of gutter that hold the colours of their chart, in the map of colour and opacity.
+/// Width of the gutter that is filled with the colours of its chart, texels, in the map of colour and opacity.
 const GUTTER: u32 = 4;
 
-/// What the judging views say of a triangle.
+/// Judgement of a triangle by the judging views.
 #[derive(Clone, Copy, Default)]
 struct Score {
-    /// Sums of squared errors of maps and splats.
+    /// Sums of squared errors of maps and of splats.
     errors: [f64; 2],
     pixels: f64,
     views: u32,
 }
 
 impl<'a> Run<'a> {
-    /// Drops the triangles whose maps explain views that they were not made from worse than the splats do, and lays out
-    /// the rest anew at about two texels per pixel, if that has room. `mesh` is as it is on the GPU. `None` if nothing is left.
+    /// Drops the triangles whose maps explain held-back views worse than the splats do, and packs the rest anew at
+    /// about two texels per pixel, if the budget has room. `mesh` is as it is on the GPU. `None` if nothing is left.
     pub(super) fn select_faces(
         &self,
         training: &mut Training<'a>,
@@ -74,13 +75,14 @@ impl<'a> Run<'a> {
         let share = (covered / seen.max(1.0)).min(1.0);
         let size = side_for(pixels, share, mesh.atlas(), self.options.max_floats);
         let charts_in = self.charts_in(training)?;
-        // What a budget holds could be splats. Bands are coarser, and share texels where gutters are narrow.
+        // Texels in a budget compete with splats. Bands are coarser, and share texels across charts where gutters are
+        // narrow.
         let narrow = self.options.max_floats.is_some() && mesh.atlas().bands().is_none();
         let gutter = if narrow { 0 } else { geometry::WIDEST_GUTTER };
         Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size, gutter)?, selection))
     }
 
-    /// Scores of all triangles by these views, and the number of pixels judged.
+    /// Scores of all triangles from these views, and the number of pixels judged.
     fn score(
         &self,
         training: &mut Training<'a>,
@@ -93,7 +95,8 @@ impl<'a> Run<'a> {
         self.compare(training, judges, |training, camera, errors| {
             view += 1;
             for (front, error) in training.front_triangles(camera)?.into_iter().zip(errors) {
-                // What a mask leaves out has no error, and what nothing else shows counts as unseen: nothing would teach its texels.
+                // Masked-out pixels have no error, and triangles that only such pixels show count as unseen: nothing
+                // would teach their texels.
                 if error[0] + error[1] == 0.0 {
                     continue;
                 }
@@ -116,9 +119,10 @@ impl Score {
     }
 }
 
-/// Texels of a side of new maps, a multiple of 32 so that they have mips as far as gutters separate charts: for triangles of this many
-/// `pixels`, as far as a budget has room. With one, maps get a part of it in proportion to the `share` that they cover of the pictures, up to
-/// a limit: where splats are spread thinly, so are texels. At least 64 and at most as many as the maps of before have.
+/// Side of new maps, texels, a multiple of 32 so that mip levels go as deep as gutters separate charts: for triangles
+/// covering this many `pixels`, within the budget. Maps get a part of a budget in proportion to the `share` of the
+/// pictures that they cover, up to a limit: where splats are sparse, so are texels. At least 64 and at most the side of
+/// the old maps.
 fn side_for(pixels: f64, share: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
     let largest = before.base().width();
     let per_texel = MapLayout { side: largest, degree: before.sh_degree() }.floats_per_texel();
@@ -128,22 +132,23 @@ fn side_for(pixels: f64, share: f64, before: &Atlas, max_floats: Option<usize>) 
     ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest)
 }
 
-/// Judging views that have to see each triangle: two, but one where the triangle of the median pixel is seen by three or fewer. In a room
-/// each part of a wall is seen by few views at a time, and a quarter of these judges; of 13 training views three judge. By pixels, since
-/// triangles that are smaller than one are missed also by views that look there. Always two of the shell (`is_far`), which does not count
-/// among these pixels: around an object it has most of them, each part seen by few, and is no surface that anyone has found.
+/// Number of judging views that must see each triangle: two, but one where the triangle at the median pixel is seen by
+/// three or fewer. In a room each part of a wall is seen by few views at a time, and only a quarter of these judge; of
+/// 13 training views three do. The median is over pixels, since triangles smaller than a pixel are missed also by views
+/// that look there. Triangles of the shell (`is_far`) always need two and do not count in the median: around an object
+/// they have most of the pixels, each part seen by few, and are no surface that anyone has found.
 fn least_views(scores: &[Score], is_far: &[bool], are_held_back: bool) -> Vec<u32> {
     let pixels = |most: u32| -> f64 {
         let near = scores.iter().zip(is_far).filter(|(s, is_far)| s.views <= most && !**is_far);
         near.map(|(s, _)| s.pixels).sum()
     };
     let total = pixels(u32::MAX);
-    // Views that maps were made from agree with any map that only one of them made.
+    // Views that the maps were made from agree with any map that only one of them made.
     let near = if are_held_back && total > 0.0 && 2.0 * pixels(3) > total { 1 } else { 2 };
     is_far.iter().map(|&is_far| if is_far { 2 } else { near }).collect()
 }
 
-/// Errors averaged over two rings of triangles: those of single ones are noise.
+/// Errors averaged over two rings of triangles: those of single triangles are noise.
 fn smoothed(mesh: &Mesh, scores: &[Score]) -> Vec<[f64; 2]> {
     let mut errors: Vec<[f64; 2]> = scores.iter().map(|s| s.errors).collect();
     for _ in 0..2 {
@@ -162,7 +167,7 @@ fn smoothed(mesh: &Mesh, scores: &[Score]) -> Vec<[f64; 2]> {
     errors
 }
 
-/// Drops connected pieces that are small in the views.
+/// Drops connected pieces that cover few pixels in the views.
 fn drop_small(mesh: &Mesh, scores: &[Score], keep: &mut [bool]) {
     let faces: Vec<usize> = (0..keep.len()).filter(|&f| keep[f]).collect();
     let component = geometry::components(&part(mesh, keep));
@@ -184,8 +189,8 @@ fn part(mesh: &Mesh, keep: &[bool]) -> Surface {
     Surface { positions: mesh.positions().to_vec(), triangles: kept(mesh.triangles(), keep) }
 }
 
-/// The kept triangles in new charts, in maps of `size` texels a side or, where many small charts need more room than their area says, of up
-/// to as many as there are. Where they do not fit those either, all stay where they are.
+/// Packs the kept triangles into new charts, in maps of `size` texels a side or, where many small charts need more room
+/// than their area says, up to the old side. If they do not fit even there, all keep their charts.
 fn laid_out_anew(
     mesh: &Mesh,
     keep: &[bool],
@@ -203,7 +208,8 @@ fn laid_out_anew(
     })
 }
 
-/// The new charts in an atlas of `size` texels a side, with the content that `atlas` has at `uvs`.
+/// A mesh with the new charts in an atlas of `size` texels a side, with the content of `atlas` at `uvs` resampled into
+/// them.
 fn lay_out(unwrapped: UnwrappedMesh, uvs: &[[Vec2; 3]], atlas: &Atlas, size: u32) -> Result<Mesh, TrainError> {
     let redrawn = |texture, size, gutter| geometry::transfer(texture, uvs, &unwrapped.corner_uvs, size, gutter);
     let base = redrawn(atlas.base(), size, GUTTER)?;

@@ -1,4 +1,4 @@
-//! What a run begins with: splats, and the mesh that it was given.
+//! Initial state of a run: splats, and the given mesh.
 
 use glam::Vec2;
 
@@ -15,17 +15,18 @@ use crate::{
     scene::{Mesh, Splats},
 };
 
-/// Splats of a capture without points.
+/// Number of splats for a capture without points.
 const RANDOM_SPLATS: usize = 20_000;
 
 impl Run<'_> {
-    /// Splats that a run which may have `most` begins with, but for those where no points are.
+    /// Number of initial splats in a run limited to `most`, not counting those placed where there are no points.
     pub(super) fn initial_count(&self, most: usize) -> usize {
         let points = self.capture.points.len();
         if points == 0 { RANDOM_SPLATS.min(most) } else { points.min(most) }
     }
 
-    /// `begins` unless what is resumed replaces them.
+    /// Initial splats beside these meshes. Unless the run `begins`, saved ones will replace them, so only those of
+    /// points are made.
     pub(super) fn initial_splats(&self, beside: &[Mesh], begins: bool) -> Result<Splats, TrainError> {
         let (o, points) = (self.options, &self.capture.points);
         let most = self.budget.splats_beside(beside);
@@ -37,7 +38,8 @@ impl Run<'_> {
         }
         let initial = if is_mcmc { Initial::mcmc_in(o.iterations) } else { Initial::INRIA };
         let of_points = |most| initialize::from_points(points, o.sh_degree, initial, most, o.seed);
-        // Density control by gradients begins with splats large enough to cover what has no points, and soon prunes larger ones.
+        // Density control by gradients begins with splats large enough to cover regions without points, and soon prunes
+        // larger ones.
         if !is_mcmc || !begins {
             return Ok(of_points(most)?);
         }
@@ -68,7 +70,7 @@ impl Run<'_> {
         self.without_unseen(mesh)
     }
 
-    /// Cut into charts, with empty maps that have room for them.
+    /// The surface cut into charts, with empty maps that have room for them.
     pub(super) fn in_charts(&self, surface: &Surface, charts_in: Option<&ChartSpace>) -> Result<Mesh, TrainError> {
         let (size, largest) = (self.budget.texture_size(), self.budget.largest_texture());
         maps::with_room_for_charts(size, largest, |size| {

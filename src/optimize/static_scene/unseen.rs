@@ -1,4 +1,4 @@
-//! What no training view sees of a mesh that is brought along is transparent.
+//! Texels of a given mesh that no training view sees become transparent.
 
 use glam::DVec2;
 
@@ -9,19 +9,21 @@ use crate::{
     scene::{Atlas, Mesh, Texture},
 };
 
-/// Texels along the side of the map on which rays are cast, at most: what nobody sees takes a ray for every view.
+/// Largest side of the map on which visibility is sampled by rays, texels: an unseen texel takes a ray for every view.
 const LONGEST_SIDE: usize = 1024;
-/// Texels around charts that nobody sees in which they end: half of a gutter, the other half is that of the next chart.
+/// Width of the unseen border around charts that becomes transparent, texels: half of a gutter, the other half belongs
+/// to the next chart.
 const RIM: usize = 2;
-/// Opacity logit of what is not seen: the least that maps have (`adam_texels.wgsl`).
+/// Opacity logit of unseen texels: the least that maps have (`adam_texels.wgsl`).
 pub(super) const TRANSPARENT: f32 = -6.0;
 
 impl Run<'_> {
-    /// The mesh with those texels of charts and their rims transparent that enter nothing that the training views show: they would stay as they
-    /// were made. What else is between charts stays so: nobody sees it, and mip levels mix it with the rims of what is seen.
+    /// The mesh with those texels of charts and their borders made transparent that do not contribute to any pixel of
+    /// the training views: training would leave them as they were made. Other texels between charts stay as they are:
+    /// nobody sees them, and mip levels mix them with the borders of what is seen.
     ///
     /// # Errors
-    /// If they see nothing of it, or a photograph cannot be read.
+    /// If the training views see nothing of the mesh, or a photograph cannot be read.
     pub(super) fn without_unseen(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
         let base = mesh.atlas().base();
         let [width, height] = [base.width() as usize, base.height() as usize];
@@ -46,13 +48,14 @@ impl Run<'_> {
         Ok(mesh.with_atlas(atlas))
     }
 
-    /// Mip levels by which the smallest pictures of the run read coarser ones than those of full size.
+    /// Number of mip levels by which the smallest pictures of the run read coarser than full-size ones.
     pub(super) fn coarser(&self) -> u8 {
         let first = ResolutionSchedule { full_from: u32::from(self.options.coarse_to_fine) };
         -first.scale(0, self.longest_side).log2().floor() as u8
     }
 
-    /// What the training views see of a map of `size` texels, (width, height), if there is no other mesh.
+    /// Visibility, from the training views, of the texels of a map of `size` (width, height), if there is no other
+    /// mesh.
     pub(super) fn texel_visibility(&self, mesh: &Mesh, size: [usize; 2]) -> Result<TexelVisibility, TrainError> {
         let masks = self.masks()?;
         let shows = |view: usize, at: DVec2| masks.show(view, at);
@@ -61,7 +64,8 @@ impl Run<'_> {
     }
 }
 
-/// Texels of charts that are neither seen nor reached, and of what is between charts those up to `rim` away, with which they are filtered.
+/// Chart texels that are neither seen nor reached by filtering, and unreached texels between charts within `rim` of
+/// these, with which they are filtered.
 fn hidden(sights: &TexelVisibility, reached: &[bool], rim: usize) -> Vec<bool> {
     let [width, height] = sights.size;
     let mut hidden: Vec<bool> =

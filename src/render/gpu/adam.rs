@@ -1,4 +1,5 @@
-//! Adam: its constants (`shaders/shared/adam.wgsl`), and its steps for splats (`shaders/adam_splats.wgsl`).
+//! The Adam optimiser: its constants (`shaders/shared/adam.wgsl`), and its steps for splats
+//! (`shaders/adam_splats.wgsl`).
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
@@ -7,12 +8,12 @@ use super::{
 };
 use crate::scene::sh;
 
-/// β₁ and β₂: what is left of the moments in a step (INRIA 3DGS, `scene/gaussian_model.py`).
+/// β₁ and β₂: decay factors of the moments (INRIA 3DGS, `scene/gaussian_model.py`).
 const BETAS: [f64; 2] = [0.9, 0.999];
-/// Added to the root of the second moment (ibid.).
+/// Term added to the root of the second moment (ibid.).
 const EPSILON: f64 = 1e-15;
 
-/// What every kernel is told that takes steps of Adam.
+/// Defines for every kernel that takes steps of Adam.
 pub(super) fn defines(gpu: &Gpu) -> Defines {
     let [beta_1, beta_2] = BETAS;
     with_not_finite(gpu.defines())
@@ -23,12 +24,13 @@ pub(super) fn defines(gpu: &Gpu) -> Defines {
         .with_real("EPSILON", EPSILON)
 }
 
-/// Parameters of splats, or their gradients or moments: the layout is the same.
+/// Buffers of the splats' parameters, gradients or moments, which share one layout.
 #[derive(Clone, Copy)]
 pub(crate) struct SplatFloats<'a> {
-    /// `array<vec4f>` `[N·3]`: mean and opacity logit; quaternion w, x, y, z; log-scale and the deviation of smoothing.
+    /// Geometry, `array<vec4f>` `[N·3]`: mean and opacity logit; quaternion w, x, y, z; log-scale and the deviation of
+    /// smoothing.
     pub(crate) geometry: &'a Buffer,
-    /// `array<f32>` `[N·(degree+1)²·3]`.
+    /// SH coefficients, `array<f32>` `[N·(degree+1)²·3]`.
     pub(crate) sh: &'a Buffer,
 }
 
@@ -49,27 +51,27 @@ pub(crate) struct SplatRates {
     pub(crate) sh_rest: f32,
 }
 
-/// What one step is done with.
+/// Parameters of one Adam step on splats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct AdamStep {
-    /// Number of the step, from 1: it corrects the bias of the moments.
+    /// Number of the step, from 1, for the bias correction of the moments.
     pub(crate) number: u32,
     pub(crate) n_splats: u32,
-    /// Active SH degree; coefficients above it stay.
+    /// Active SH degree; coefficients above it are not updated.
     pub(crate) sh_degree: u32,
     pub(crate) rates: SplatRates,
     /// Weight of the mean opacity in the loss (MCMC: 0.01).
     pub(crate) opacity_weight: f32,
     /// Weight of the mean scale in the loss (MCMC: 0.01).
     pub(crate) scale_weight: f32,
-    /// MCMC's noise on means, in units of their rate (there 5e5); 0 for none.
+    /// MCMC's noise on means, relative to their rate (there 5e5); 0 for none.
     pub(crate) noise: f32,
     pub(crate) seed: u32,
-    /// Leave splats alone that this view does not see.
+    /// Update only splats that this view sees.
     pub(crate) visible_only: bool,
 }
 
-/// 1 − β₁ᵗ and 1 − β₂ᵗ, by which step t divides the moments.
+/// Bias corrections 1 − β₁ᵗ and 1 − β₂ᵗ, by which step t divides the moments.
 pub(super) fn bias_corrections(step: u32) -> [f32; 2] {
     BETAS.map(|beta| (1.0 - beta.powf(f64::from(step.max(1)))) as f32)
 }
@@ -80,14 +82,15 @@ pub(crate) struct SplatAdam {
     harmonics: Stage,
     uniform: Buffer,
     n_splats: usize,
-    /// SH floats that a thread takes.
+    /// SH floats per thread.
     lanes: usize,
     active_floats: usize,
 }
 
 impl SplatAdam {
-    /// For splats with `sh_floats` = 3·(degree+1)² SH floats each. `visible` is `array<u32>` `[N]`, non-zero for a
-    /// splat that the view sees; `status` is that of the step (`shared/status.wgsl`). No step is set.
+    /// Stages for splats with `sh_floats` = 3·(degree+1)² SH floats each. `visible` is `array<u32>` `[N]`, non-zero for
+    /// a splat that the view sees; `status` is that of the step (`shared/status.wgsl`). [`Self::set`] must precede
+    /// recording.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -115,7 +118,7 @@ impl SplatAdam {
         Ok(Self { geometry, harmonics, uniform, n_splats: 0, lanes, active_floats: 3 })
     }
 
-    /// What frames recorded from now on do.
+    /// Sets the step of frames recorded from now on.
     pub(crate) fn set(&mut self, gpu: &Gpu, step: &AdamStep) {
         self.n_splats = step.n_splats as usize;
         self.active_floats = 3 * sh::coefficients(step.sh_degree);

@@ -1,4 +1,4 @@
-//! One frame from the gradient of the image back to those of the parameters.
+//! Backward pass of a frame: from the gradient of the image to those of the parameters.
 
 use super::{
     blend::{BlendBackward, moments},
@@ -10,43 +10,44 @@ use super::{
 };
 use crate::scene::sh;
 
-/// Gradients of the splats' parameters, and how they are found. Those of texels are the mesh stage's.
+/// Gradients of the splats' parameters, and the stages that compute them. Gradients of texels belong to the mesh stage.
 pub(crate) struct Backward {
-    /// `[h·w]` vec4: ∂L/∂rgb of the image and by its disparity Σw/z, written by the loss.
+    /// Gradients of the loss, `[h·w]` vec4: by the image's rgb, and by its disparity Σw/z; written by the loss.
     pub(crate) image_gradient: Buffer,
-    /// What the run finds out about itself, see `status.rs`.
+    /// Status of training steps, see `status.rs`.
     pub(crate) status: Buffer,
     pub(crate) splats: SplatGradients,
     besides: Besides,
     blend: BlendBackward,
-    /// `splat_backward.wgsl`
+    /// Stage `splat_backward.wgsl`.
     of_splats: Stage,
 }
 
-/// Of `capacity` splats. Gradients of those that the last view does not see mean nothing.
+/// Gradients of `capacity` splats. Those of splats that the last view does not see are undefined.
 pub(crate) struct SplatGradients {
-    /// As `SplatBuffers::geometry`.
+    /// Laid out as `SplatBuffers::geometry`.
     pub(crate) geometry: Buffer,
-    /// As `SplatBuffers::sh`.
+    /// Laid out as `SplatBuffers::sh`.
     pub(crate) sh: Buffer,
-    /// `[capacity]` vec4, see `splat_backward.wgsl`.
+    /// Density statistics, `[capacity]` vec4, see `splat_backward.wgsl`.
     pub(crate) statistics: Buffer,
-    /// `[capacity]` vec4, see `splat_backward.wgsl`, with [`Backward::differentiate_poses`].
+    /// Each splat's part of the gradient by the camera's rotation, `[capacity]` vec4, see `splat_backward.wgsl`; only
+    /// with [`Backward::differentiate_poses`].
     pub(crate) turn: Option<Buffer>,
     capacity: usize,
 }
 
-/// What is found besides gradients of parameters.
+/// Optional outputs besides gradients of parameters.
 #[derive(Clone, Copy, Default)]
 struct Besides {
-    /// The statistics hold absolute gradients.
+    /// Whether the statistics include absolute gradients.
     absolute: bool,
-    /// Gradients by the pose.
+    /// Whether there are gradients by the pose.
     by_pose: bool,
 }
 
 impl Backward {
-    /// Of a pipeline that was made with this `status`.
+    /// Backward pass of a pipeline that was made with this `status`.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -59,8 +60,8 @@ impl Backward {
         Ok(Self { image_gradient, status, splats, besides, blend, of_splats })
     }
 
-    /// Follows the pipeline to the buffers that it has now. Where it has room for another number of splats, all of theirs
-    /// are new.
+    /// Rebinds to the pipeline's present buffers. If it has room for another number of splats, the gradients are
+    /// allocated anew.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -73,7 +74,7 @@ impl Backward {
         Ok(())
     }
 
-    /// From now on the statistics also hold absolute gradients, for AbsGS.
+    /// Enables absolute gradients in the statistics, for AbsGS.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -82,7 +83,7 @@ impl Backward {
         self.renew(gpu, pipeline)
     }
 
-    /// From now on there are gradients by the pose of the camera, too, as far as splats depend on it.
+    /// Enables gradients by the pose of the camera, through splats only.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -92,7 +93,7 @@ impl Backward {
         self.renew(gpu, pipeline)
     }
 
-    /// Appends everything from the image gradient to parameter gradients.
+    /// Appends the whole pass, from the image gradient to parameter gradients.
     pub(crate) fn record(&self, frame: &mut Frame, pipeline: &Pipeline, view: &View) {
         self.record_blend(frame, view);
         frame.dispatch_threads(&self.of_splats, view.n_splats as usize);
@@ -101,13 +102,13 @@ impl Backward {
         }
     }
 
-    /// Appends only what leads from the image gradient to [`Self::moments`].
+    /// Appends only the part from the image gradient to [`Self::moments`].
     pub(crate) fn record_blend(&self, frame: &mut Frame, view: &View) {
         self.blend.record(frame, view.n_tiles(), view.n_splats as usize);
     }
 
-    /// Sums per splat that the blend found, and how many of each there are: `[capacity][that many]`. Those that the last view does not see
-    /// keep what they had.
+    /// Sums per splat from the blend, and their number: `[capacity][number]`. Rows of splats that the last view does
+    /// not see are stale.
     pub(crate) fn moments(&self) -> (&Buffer, usize) {
         (&self.blend.moments, moments(self.besides.absolute))
     }

@@ -8,15 +8,15 @@ use super::{
     tile_pairs::{COUNT_STORED_PAIRS, COUNT_VISIBLE},
 };
 
-/// Threads of a workgroup of `sum_moments.wgsl`.
+/// Threads per workgroup of `sum_moments.wgsl`.
 const SUM_THREADS: usize = 256;
 
-/// Sums per splat that `blend_backward.wgsl` finds.
+/// Number of sums per splat that `blend_backward.wgsl` computes.
 pub(crate) fn moments(absolute: bool) -> usize {
     if absolute { 12 } else { 10 }
 }
 
-/// Depth and colour of the mesh layers, and where their gradient goes.
+/// Depth, colour and gradient of the mesh layers.
 #[derive(Clone, Copy)]
 pub(crate) struct LayerBuffers<'a> {
     pub(crate) depth: &'a Buffer,
@@ -26,46 +26,48 @@ pub(crate) struct LayerBuffers<'a> {
 
 /// Forward blend into an image.
 pub(crate) struct Blend {
-    /// `[h·w]` vec4: rgb, final transmittance.
+    /// Image, `[h·w]` vec4: rgb, final transmittance.
     pub(crate) image: Buffer,
-    /// `[BUCKETS][pixel]` vec4: colour and transmittance of what is in a bucket. Empty where lists are not for training.
+    /// Colour and transmittance of each bucket, `[BUCKETS][pixel]` vec4. Empty unless lists are for training.
     buckets: Buffer,
-    /// `[BUCKETS][pixel]` two words: pair after the last that a bucket used, and bits of the disparity, 1/z, of what is in it, blended as its
-    /// colour. Empty as well.
+    /// Per bucket `[BUCKETS][pixel]` two words: the pair after the last that it used, and the bits of the disparity,
+    /// 1/z, blended as its colour. Empty unless for training.
     pub(crate) ends: Buffer,
     forward: Stage,
 }
 
-/// From the gradient of the image to sums per splat and the gradient of mesh layers.
+/// Backward blend: from the gradient of the image to sums per splat and the gradient of mesh layers.
 pub(crate) struct BlendBackward {
-    /// Of tiles, into rows; of the rows, into moments. One after the other where the rows of all pairs cannot be bound.
+    /// Stages from tiles to rows and from rows to moments, once for each window of pairs whose rows can be bound.
     windows: Vec<[Stage; 2]>,
     sizes: DispatchSizes,
     splats_a_group: usize,
-    /// `[n]` rows of sums per splat; those that the last view does not see keep what they had.
+    /// Sums per splat, `[n]` rows; those of splats that the last view does not see are stale.
     pub(crate) moments: Buffer,
 }
 
-/// Threads and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per thread, so
-/// more pixels per thread are faster until their state leaves the registers, or until too few threads are left to hide what each of them
-/// waits for. A software adapter reads workgroup memory lane by lane and has nothing to hide, so there a tile is one or two subgroups.
+/// Threads per tile, and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per
+/// thread, so more pixels per thread are faster until their state no longer fits in registers, or too few threads are
+/// left to hide latency. A software adapter reads workgroup memory lane by lane and has no latency to hide, so there a
+/// tile is one or two subgroups.
 fn shape(gpu: &Gpu, layers: u32) -> (u32, u32) {
     match (gpu.profile().is_cpu, layers) {
         (true, 0..=1) => (16, 16),
         (true, _) => (32, 8),
         (false, _) if gpu.profile().subgroups => (128, 2),
-        // Sums of every thread lie in workgroup memory then, of which there may be 16 KiB.
+        // Without subgroups the sums of every thread are in workgroup memory, which is limited to 16 KiB.
         (false, _) => (64, 4),
     }
 }
 
-/// Splats that a thread of the forward blend evaluates at once: hardware waits for one while it does the others.
+/// Number of splats that a thread of the forward blend evaluates at once: hardware hides the latency of one behind the
+/// others.
 fn splats_at_once(gpu: &Gpu) -> u32 {
     if gpu.profile().is_cpu { 1 } else { 4 }
 }
 
 /// Adds the paths of the loop over splats: one per bucket, for splats that are in it throughout the tile, and one that
-/// decides at every pixel. Without `runs` a tile takes that last path alone.
+/// decides per pixel. Without `runs` a tile takes that last path only.
 fn with_paths(defines: &Defines, layers: u32, runs: bool) -> Defines {
     let deciding = layers + 1;
     let (runs, first, end) = match (layers, runs) {
@@ -76,7 +78,7 @@ fn with_paths(defines: &Defines, layers: u32, runs: bool) -> Defines {
     defines.clone().with("RUNS", runs).with("FIRST_PATH", first).with("PATHS", end)
 }
 
-/// (tile, splat) pairs whose sums can be bound.
+/// Largest number of (tile, splat) pairs whose sums can be bound.
 fn rows_at_most(gpu: &Gpu, n_moments: usize) -> usize {
     (gpu.max_binding_bytes() as usize / (4 * n_moments)).max(1)
 }
@@ -91,7 +93,7 @@ fn base_defines(gpu: &Gpu, layers: u32) -> Defines {
 }
 
 impl Blend {
-    /// Buffers and kernel. With lists for training it also saves what [`BlendBackward`] reads.
+    /// Buffers and kernel. With lists for training it also saves the data that [`BlendBackward`] reads.
     pub(crate) fn new(
         gpu: &Gpu,
         lists: &SplatLists,
@@ -142,8 +144,9 @@ fn forward(
 }
 
 impl BlendBackward {
-    /// For `capacity` splats in these lists, which are for training. `image_gradient` is `[h·w]` vec4, ∂L/∂rgb and by the disparity; with `absolute`
-    /// it also sums up how strongly pixels pull at the means, whichever way.
+    /// Stages for `capacity` splats in these lists, which must be for training. `image_gradient` is `[h·w]` vec4, by
+    /// rgb and by the disparity; with `absolute` the sums include absolute values of each pixel's gradient by the
+    /// means.
     pub(crate) fn new(
         gpu: &Gpu,
         lists: &SplatLists,
@@ -155,7 +158,7 @@ impl BlendBackward {
     ) -> Result<Self, GpuError> {
         let n_layers = lists.layers();
         let n_moments = moments(absolute);
-        // Without subgroups there are barriers where the paths would part.
+        // Without subgroups there are barriers where the paths would diverge.
         let defines = with_paths(&base_defines(gpu, n_layers), n_layers, gpu.profile().subgroups)
             .with("MOMENTS", n_moments as u32)
             .with("ABSOLUTE", u32::from(absolute))
@@ -206,7 +209,7 @@ impl BlendBackward {
         Ok(Self { windows, sizes, splats_a_group, moments: sums })
     }
 
-    /// Appends the gradients of `tiles` tiles with so many splats.
+    /// Appends the gradients of `tiles` tiles with this many splats.
     pub(crate) fn record(&self, frame: &mut Frame, tiles: usize, splats: usize) {
         if splats > 0 {
             self.sizes.record(frame);

@@ -1,4 +1,4 @@
-//! Exposures of photographs while a scene is trained (`shaders/exposure.wgsl`).
+//! Exposures of photographs during training (`shaders/exposure.wgsl`).
 
 use glam::{Mat3, Vec3};
 
@@ -12,19 +12,19 @@ use super::{
     view::View,
 };
 
-/// Pixels of a thread of `pull`, and of a workgroup.
+/// Pixels per thread of `pull`, and per workgroup.
 const PER_THREAD: usize = 16;
 const PIXELS: usize = 256 * PER_THREAD;
-/// Floats of a matrix.
+/// Floats per matrix.
 pub(crate) const FLOATS: usize = 12;
-/// Rows of the identity.
+/// The identity matrix, by rows.
 const IDENTITY: [f32; FLOATS] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-/// A 3×4 matrix per view, by rows, which takes what is rendered, (r, g, b, 1), to what was photographed.
+/// Exposures: a 3×4 matrix per view, by rows, that maps the rendered (r, g, b, 1) to the photograph's colour.
 pub(crate) type ExposureState = PerView<FLOATS>;
 
 impl ExposureState {
-    /// Photographs as they are rendered.
+    /// Identity exposures.
     pub(crate) fn new(views: usize) -> Self {
         Self::beginning_at(IDENTITY, views)
     }
@@ -34,13 +34,13 @@ impl ExposureState {
         self.values[FLOATS * view..].first_chunk().copied().unwrap_or(IDENTITY)
     }
 
-    /// What a view makes of a rendered colour.
+    /// Rendered colour after a view's exposure.
     pub(crate) fn apply(&self, view: usize, [r, g, b]: [f32; 3]) -> [f32; 3] {
         let e = self.of(view);
         [0, 4, 8].map(|row| e[row] * r + e[row + 1] * g + e[row + 2] * b + e[row + 3])
     }
 
-    /// What was rendered where a view makes this of it; the colour itself where there is no telling.
+    /// Rendered colour of which a view's exposure makes `rgb`; `rgb` itself if the matrix cannot be inverted.
     pub(crate) fn undo(&self, view: usize, rgb: [f32; 3]) -> [f32; 3] {
         let e = self.of(view);
         let columns = [0, 1, 2].map(|c| Vec3::new(e[c], e[4 + c], e[8 + c]));
@@ -49,7 +49,8 @@ impl ExposureState {
         if undone.is_finite() { undone.into() } else { rgb }
     }
 
-    /// Makes the mean over `views` the identity: what all photographs have in common is the scene's.
+    /// Shifts the matrices so that their mean over `views` is the identity: what all photographs have in common belongs
+    /// to the scene.
     pub(crate) fn center(&mut self, views: &[usize]) {
         for (float, identity) in IDENTITY.iter().enumerate() {
             let sum: f64 = views.iter().map(|view| f64::from(self.values[FLOATS * view + float])).sum();
@@ -59,18 +60,18 @@ impl ExposureState {
     }
 }
 
-/// Which photograph a step trains on.
+/// Exposure step of a training step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ExposureStep {
-    /// Its view.
+    /// View of the photograph.
     pub(crate) view: usize,
-    /// Rate of Adam; 0: the exposure stays as it is.
+    /// Learning rate; 0 leaves the exposure as it is.
     pub(crate) rate: f32,
 }
 
-/// The exposures of all views, and the stage between loss and blend.
+/// Exposures of all views, and their stages between loss and blend.
 pub(crate) struct Exposures {
-    /// Pull and update.
+    /// Kernels `pull` and `update`.
     kernels: [Kernel; 2],
     uniform: Buffer,
     pub(super) views: PerViewBuffers<FLOATS>,
@@ -79,7 +80,7 @@ pub(crate) struct Exposures {
 }
 
 impl Exposures {
-    /// For pictures of at most `pixels` pixels.
+    /// Exposures for pictures of at most `pixels` pixels.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -94,7 +95,7 @@ impl Exposures {
         })
     }
 
-    /// Binds the buffers of a pipeline and its way back, and the photograph, as the loss has it.
+    /// Binds to the buffers of a pipeline and its backward pass, and to the photograph that the loss reads.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward, truth: &Buffer) {
         let images = [&pipeline.blend.image, &backward.image_gradient, truth];
         self.bind_images(gpu, images, &pipeline.front.view, &backward.status);
@@ -108,8 +109,8 @@ impl Exposures {
         self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
-    /// Appends to a frame what takes the gradient of the loss to that of the picture, and a step of the view's exposure.
-    /// `alpha` is what that of the photograph means.
+    /// Appends the conversion of the gradient of the exposed picture to that of the rendered one, and a step of the
+    /// view's exposure. `alpha` is the meaning of the photograph's.
     pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep, alpha: TruthAlpha) {
         let Some([pull, update]) = &self.stages else { return };
         let [first, second] = self.views.count(step.view, step.rate != 0.0);
@@ -121,12 +122,12 @@ impl Exposures {
         frame.dispatch(update, 1);
     }
 
-    /// The last `skipped` steps changed nothing, see [`PerViewBuffers::settle`].
+    /// Takes back the last `skipped` steps, see [`PerViewBuffers::settle`].
     pub(crate) fn settle(&mut self, skipped: u32) {
         self.views.settle(skipped);
     }
 
-    /// Everything of it. Waits.
+    /// Reads the whole state. Waits.
     ///
     /// # Errors
     /// If the driver failed.
@@ -134,7 +135,7 @@ impl Exposures {
         self.views.read(gpu)
     }
 
-    /// Replaces everything by a state of as many views.
+    /// Replaces the state by one of as many views.
     pub(crate) fn write(&mut self, gpu: &Gpu, state: &ExposureState) {
         self.views.write(gpu, state);
     }

@@ -1,4 +1,4 @@
-//! What every picture begins with: a scene's parameters, its mesh layers in a view, and its splats in the lists of tiles.
+//! Front end of a frame: a scene's parameters, its mesh layers in a view, and its splats in the tiles' lists.
 
 use super::{
     blend::LayerBuffers,
@@ -10,10 +10,10 @@ use super::{
 use crate::render::contract::ImageModel;
 use crate::scene::{Camera, Composition, HybridScene};
 
-/// (tile, splat) pairs that fit at first, per splat; grown when a frame needs more.
+/// Initial room for (tile, splat) pairs, per splat; grown when a frame needs more.
 pub(crate) const PAIRS_PER_SPLAT: usize = 6;
 
-/// What one view's frame reads and writes before anything is blended.
+/// Buffers and stages of a frame before blending.
 pub(crate) struct Front {
     pub(crate) view: Buffer,
     pub(crate) splats: SplatBuffers,
@@ -25,7 +25,8 @@ pub(crate) struct Front {
 }
 
 impl Front {
-    /// Of the scene, up to `capacity` splats (at least those it has), seen by `cameras`. What is for training has the `status` of that.
+    /// Front end for the scene, with room for `capacity` splats (at least those it has), seen by `cameras`. For
+    /// training, `status` is that of its steps.
     pub(crate) fn new(
         gpu: &Gpu,
         scene: &HybridScene,
@@ -52,8 +53,8 @@ impl Front {
         Ok(Self { view, splats, n_splats: scene.splats.len(), mesh, lists, composition: *composition, image })
     }
 
-    /// Gets ready for a frame of this camera, one of those that it was made for or smaller, and says what the shaders are
-    /// told of it, and whether buffers had to be made anew.
+    /// Prepares a frame of this camera, which must not be larger than those announced. Returns the shaders' view, and
+    /// whether buffers were replaced.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<(View, bool), GpuError> {
         let splats = (self.n_splats, self.splats.sh_degree);
         let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
@@ -68,7 +69,7 @@ impl Front {
         Ok((view, grew))
     }
 
-    /// Appends everything from parameters to layers and lists.
+    /// Appends all stages from parameters to layers and lists.
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, view: &View) {
         gpu.write(&self.view, 0, &view.words());
         if let Some(mesh) = &self.mesh {
@@ -77,7 +78,7 @@ impl Front {
         self.lists.record(gpu, frame, view.n_splats as usize);
     }
 
-    /// After a frame: enlarges lists that were too short for it. True if so, and the frame must be repeated.
+    /// After a frame: enlarges lists that were too short for it. True if so; the frame must then be repeated.
     ///
     /// # Errors
     /// If the driver failed or the adapter cannot hold longer lists.
@@ -86,7 +87,7 @@ impl Front {
         self.lengthen_lists(gpu, self.longer_lists(gpu, needed))
     }
 
-    /// Entries that lists as of [`Self::list_lengths`] would have held in the last frame. Waits for it.
+    /// Entries that the lists of [`Self::list_lengths`] needed in the last frame. Waits for it.
     ///
     /// # Errors
     /// If the driver failed.
@@ -95,18 +96,18 @@ impl Front {
         Ok([pairs, self.mesh.as_ref().map_or(Ok(0), |mesh| mesh.pairs_needed(gpu))?])
     }
 
-    /// How long lists become of which so many entries are needed: 0 where they are long enough.
+    /// New lengths of lists that need this many entries: 0 where they are long enough.
     pub(crate) fn longer_lists(&self, gpu: &Gpu, needed: [usize; 2]) -> [usize; 2] {
         let lengths = self.list_lengths();
         [0, 1].map(|i| if needed[i] > lengths[i] { longer_list(gpu, needed[i]) } else { 0 })
     }
 
-    /// Entries that the lists of (tile, splat) and (bin, triangle) pairs hold.
+    /// Capacities of the lists of (tile, splat) and (bin, triangle) pairs.
     pub(crate) fn list_lengths(&self) -> [usize; 2] {
         [self.lists.pairs.capacity(), self.mesh.as_ref().map_or(0, MeshStage::pair_capacity)]
     }
 
-    /// Makes the lists at least this long. True if they had to be made anew.
+    /// Enlarges the lists to at least these lengths. True if any was replaced.
     ///
     /// # Errors
     /// If the adapter cannot hold them.
@@ -122,7 +123,7 @@ impl Front {
         Ok(short || mesh_grew)
     }
 
-    /// Puts other splat buffers in place of those before, which it returns, and lists with room for at least so many pairs in place of theirs.
+    /// Replaces the splat buffers, returning the old ones, and the lists by ones with room for at least `pairs` pairs.
     pub(crate) fn replace_splats(
         &mut self,
         gpu: &Gpu,
@@ -135,10 +136,11 @@ impl Front {
         Ok(before)
     }
 
-    /// Frees the lists of (tile, splat) pairs, once nothing is bound to them, so that longer ones need not lie beside them.
+    /// Frees the lists of (tile, splat) pairs, which must not be bound any more, so that old and longer new ones need
+    /// not coexist.
     ///
     /// # Errors
-    /// If the adapter cannot hold what is there of each splat, which lies beside that of before as yet.
+    /// If the adapter cannot hold the new per-splat buffers beside the old ones.
     pub(crate) fn empty_lists(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
         self.renew_lists(gpu, 0)
     }
@@ -156,7 +158,7 @@ impl Front {
     }
 }
 
-/// Lists of these splats; only the EWA model orders them against layers before it blends.
+/// Lists of these splats; only under the EWA model are they ordered against layers before blending.
 fn lists(
     gpu: &Gpu,
     purpose: Purpose,

@@ -1,5 +1,5 @@
-//! Pictures in parts, under either image model: what splats and meshes contribute, depths, normals. One thread a pixel,
-//! for pictures that are kept; training and viewing take [`super::Renderer`].
+//! Pictures in parts, under either image model: contributions of splats and of meshes, depths, normals. One thread per
+//! pixel, for pictures that are kept; training and viewing use [`super::Renderer`].
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
@@ -11,11 +11,11 @@ use super::{
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::scene::{Camera, HybridScene, sh};
 
-/// Vectors of four floats that the shaders write per pixel.
+/// Four-float vectors that the shaders write per pixel.
 const PARTS: usize = 4;
-/// Passes of a pixel through loops that are no walk through its tile's list, and more.
+/// Upper bound on a pixel's passes through loops other than the walk through its tile's list.
 const OTHER_PASSES: usize = 100;
-/// Words before those of the first pixel in the buffer of progress, and of each pixel.
+/// Words of the progress buffer before the first pixel, and per pixel.
 const PROGRESS: usize = 4;
 
 /// The parts of a picture in the scene's blending space, row-major from the top.
@@ -25,20 +25,20 @@ pub struct LayeredPicture {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// What splats contribute where meshes hide them: RGB times weight, and the sum of weights. `[height·width]`
+    /// Contribution of splats, as occluded by meshes: RGB times weight, and the sum of weights. `[height·width]`
     pub splats: Vec<[f32; 4]>,
-    /// What meshes contribute where splats hide them, likewise.
+    /// Contribution of meshes, as occluded by splats, likewise.
     pub mesh: Vec<[f32; 4]>,
-    /// What is left of the background: 1 − both weights.
+    /// Weight of the background: 1 − both weights.
     pub transmittance: Vec<f32>,
-    /// Camera-space z: mean of what contributes by its weight; 0 where nothing does. Of a splat it is that of its mean, or
-    /// of its peak under [`ImageModel::Ray`].
+    /// Expected depth, camera-space z: mean of the contributions' depths by weight; 0 if there is none. A splat's depth
+    /// is that of its mean, or of its peak under [`ImageModel::Ray`].
     pub expected_depth: Vec<f32>,
     /// Camera-space z at which the transmittance falls below one half; 0 where it never does.
     pub median_depth: Vec<f32>,
-    /// Splats that contribute.
+    /// Number of splats that contribute.
     pub count: Vec<f32>,
-    /// Unit normal of the nearest mesh fragment, towards the camera, in world space; zeros without one.
+    /// Unit normal of the nearest mesh fragment, facing the camera, in world space; zero without one.
     pub normal: Vec<[f32; 3]>,
 }
 
@@ -50,7 +50,7 @@ impl LayeredPicture {
         parts.map(|((s, m), t)| [0, 1, 2].map(|c| s[c] + m[c] + t * background[c])).collect()
     }
 
-    /// The same as a renderer of whole pictures gives it.
+    /// The picture over a background, as [`super::Renderer`] returns it.
     #[must_use]
     pub fn flattened(self, background: [f32; 3]) -> Picture {
         let rgb = self.over(background);
@@ -58,16 +58,16 @@ impl LayeredPicture {
     }
 }
 
-/// A scene on the GPU, ready to be taken apart.
+/// Renderer of a scene's pictures in parts.
 ///
-/// Takes what [`super::Renderer`] takes, and 48 bytes more per pixel (64 on a software adapter); under [`ImageModel::Ray`] 80 more per splat, and 4 less per
-/// splat and mesh layer.
+/// Needs the memory of [`super::Renderer`] and 48 bytes more per pixel (64 on a software adapter); under
+/// [`ImageModel::Ray`] 80 more per splat, and 4 less per splat and mesh layer.
 pub struct LayeredRenderer<'g> {
     gpu: &'g Gpu,
     model: ImageModel,
     front: Front,
     parts: Buffer,
-    /// How far each pixel is, where one dispatch may not finish them (`shaders/shared/layered.wgsl`).
+    /// Progress of each pixel, where one dispatch may not finish them (`shaders/shared/layered.wgsl`).
     progress: Option<Buffer>,
     blend: Stage,
 }
@@ -90,8 +90,8 @@ impl<'g> LayeredRenderer<'g> {
     /// Renders one picture and waits for it.
     ///
     /// # Errors
-    /// If the image is larger than announced, the driver fails, the adapter runs short of memory or, a software adapter, cannot go through the
-    /// splats of a tile.
+    /// If the image is larger than announced, the driver fails, the adapter runs short of memory or, on a software
+    /// adapter, a tile has more splats than it can process.
     pub fn render(&mut self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
         self.front.image.check(camera)?;
         loop {
@@ -106,11 +106,12 @@ impl<'g> LayeredRenderer<'g> {
         self.read(camera)
     }
 
-    /// Blends on until all pixels are finished.
+    /// Repeats the blend until all pixels are finished.
     fn finish(&self, camera: &Camera) -> Result<(), GpuError> {
         let (Some(progress), Some(passes)) = (&self.progress, self.gpu.loop_passes()) else { return Ok(()) };
         let tiles = ImageCapacity::of([(camera.intrinsics().width, camera.intrinsics().height)]).tiles;
-        // The walk that begins last has what those before it leave; the others of a pixel, over slots and layers, take some tens.
+        // The last walk to begin has the passes that those before it leave; other loops of a pixel, over slots and
+        // layers, take some tens.
         let (splats, most) = (self.front.lists.longest(self.gpu, tiles)?, passes - patience(passes) - OTHER_PASSES);
         if splats > most {
             return Err(GpuError::TileTooFull { splats, most, adapter: self.gpu.adapter().to_owned() });
@@ -158,7 +159,7 @@ impl<'g> LayeredRenderer<'g> {
     }
 }
 
-/// Entries of a tile's list after which no other walk through it begins: one more fits.
+/// Number of entries of a tile's list after which a thread begins no further walk through it, so that one more fits.
 fn patience(loop_passes: usize) -> usize {
     loop_passes / 4
 }

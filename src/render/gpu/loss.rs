@@ -2,23 +2,23 @@
 
 use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 
-/// How a kernel shares out an image: each tile of a channel has a mean of its own.
+/// Division of an image among threads: each tile of a channel has a mean of its own.
 struct Tiling {
     file: &'static str,
-    /// Of a tile, pixels.
+    /// Size of a tile, pixels.
     width: usize,
     height: usize,
-    /// A thread to a tile, rather than a workgroup.
+    /// Whether a thread, rather than a workgroup, takes a tile.
     by_threads: bool,
 }
 
 const PARALLEL: Tiling = Tiling { file: "loss.wgsl", width: 16, height: 40, by_threads: false };
 const SERIAL: Tiling = Tiling { file: "loss_serial.wgsl", width: 8, height: 64, by_threads: true };
 
-/// What the truth's alpha channel means.
+/// Meaning of the truth's alpha channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum TruthAlpha {
-    /// Nothing: the truth is opaque.
+    /// No meaning: the truth is opaque.
     #[default]
     Ignore,
     /// The truth is composited over the view's background.
@@ -37,14 +37,14 @@ pub(crate) struct LossValues {
 }
 
 impl LossValues {
-    /// Of what [`Loss::means`] says of each tile.
+    /// Values from the per-tile means of [`Loss::means`].
     pub(crate) fn of(means: &[[f32; 2]]) -> Self {
         let sum = |i: usize| means.iter().map(|mean| f64::from(mean[i])).sum();
         Self { l1: sum(1), ssim: sum(0) }
     }
 }
 
-/// L1 + D-SSIM (Kerbl et al. 2023, eq. 7).
+/// Photometric loss L1 + D-SSIM (Kerbl et al. 2023, eq. 7).
 pub(crate) struct Loss {
     forward: Stage,
     backward: Stage,
@@ -56,7 +56,8 @@ pub(crate) struct Loss {
 }
 
 impl Loss {
-    /// For views of these (width, height), pixels, and smaller ones of the same shape: the size of a frame's image is the one in `view_uniform`.
+    /// Stages for views of these sizes (width, height), pixels, and smaller ones of the same shape: the size of a
+    /// frame's image is the one in `view_uniform`.
     ///
     /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
     /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied
@@ -95,8 +96,9 @@ impl Loss {
         Ok(loss)
     }
 
-    /// What alpha means in frames from now on, and the view whose exposure counts, with exposures. The shader lays the truth over
-    /// the background where the third weight is 1, and weighs both images by its alpha where the fourth is.
+    /// Sets the meaning of alpha in frames from now on, and, with exposures, the view whose exposure applies. The
+    /// shader composites the truth over the background where the third weight is 1, and weights both images by its
+    /// alpha where the fourth is.
     pub(crate) fn set_truth(&self, gpu: &Gpu, alpha: TruthAlpha, view: usize) {
         let is = |wanted: TruthAlpha| f32::from(u8::from(alpha == wanted));
         let weights = [self.ssim_weight, view as f32, is(TruthAlpha::Composite), is(TruthAlpha::Mask)];
@@ -110,7 +112,7 @@ impl Loss {
         take(frame, &self.backward, self.n_tiles);
     }
 
-    /// What the last frame's [`LossValues`] are made of, and how many elements.
+    /// Per-tile means of the last frame, for [`LossValues::of`], and their number.
     pub(crate) fn means(&self) -> (&Buffer, usize) {
         (&self.means, self.n_tiles)
     }

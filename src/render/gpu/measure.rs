@@ -1,4 +1,4 @@
-//! Benchmarks: what an adapter can do at best, and what each stage of a frame takes.
+//! Benchmarks: ceilings of an adapter, and the time of each stage of a frame.
 
 use std::time::Instant;
 
@@ -14,19 +14,19 @@ use super::{
 use crate::scene::{Camera, HybridScene, sh};
 use crate::stats::median;
 
-/// Steps between two waits of the host for a GPU, as `optimize::static_scene` waits for losses.
+/// Steps between waits of the host for a GPU, as `optimize::static_scene` waits for losses.
 const STEPS_A_WAIT: u32 = 10;
 
-/// Upper bounds of an adapter.
+/// Measured upper bounds of an adapter's throughput.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct Ceilings {
-    /// Splat·pixel evaluations per second (conic, exp, blend) without memory traffic.
+    /// Evaluations of a splat at a pixel per second (conic, exp, blend) without memory traffic.
     pub evaluations: f64,
     /// Atomic additions of integers per second, spread over 65,536 slots.
     pub atomic_adds: f64,
     /// Bytes per second, read plus written.
     pub copy_bytes: f64,
-    /// Seconds that a dispatch of one thread takes.
+    /// Seconds of a dispatch of one thread.
     pub dispatch_seconds: f64,
 }
 
@@ -92,7 +92,7 @@ fn ceilings_by(gpu: &Gpu, work: &Work) -> Result<Option<Ceilings>, GpuError> {
     }))
 }
 
-/// One kernel of a training step.
+/// Time of one kernel of a training step.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct StageTime {
     /// Shader file and entry point.
@@ -101,20 +101,21 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
-/// What a training step of a scene does and takes.
+/// Times and counts of a training step.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct StepTimes {
     /// Every kernel, in the order of the first dispatch.
     pub stages: Vec<StageTime>,
-    /// Seconds of a whole step by the host's clock, median; on GPUs each of ten that follow each other, as they do in training.
+    /// Seconds of a whole step by the host's clock, median; on GPUs averaged over ten consecutive steps, as in
+    /// training.
     pub step_seconds: f64,
     /// Seconds of a forward frame by the host's clock, median.
     pub frame_seconds: f64,
-    /// (tile, splat) pairs; each is 256 splat·pixel evaluations at most.
+    /// (tile, splat) pairs; each is at most 256 evaluations of a splat at a pixel.
     pub pairs: usize,
-    /// Splat·pixel evaluations of the blend's backward pass: in every tile, 256 per pair up to the last one that a pixel
-    /// used. The forward pass does at least these and at most 256 per pair: it ends once every pixel is opaque, and
-    /// finds out once per batch of pairs.
+    /// Evaluations of splats at pixels in the blend's backward pass: in every tile, 256 per pair up to the last one
+    /// that a pixel used. The forward pass does at least these and at most 256 per pair: it ends once every pixel is
+    /// opaque, which is checked once per batch of pairs.
     pub evaluations: usize,
     /// Splats in view.
     pub visible: usize,
@@ -131,13 +132,13 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
     training.keep_photographs(truth.len() as u64);
     let step = unmoving(scene, camera, &truth);
-    // Compiled kernels, long enough lists.
+    // Warm-up: compiles kernels and makes lists long enough.
     training.step(&step)?;
     while training.grow_if_short()? > 0 {
         training.step(&step)?;
     }
     gpu.wait()?;
-    // A software adapter's steps are long enough for a wait to be nothing beside one.
+    // On a software adapter a wait is negligible beside a step.
     let steps = if gpu.profile().is_cpu { 1 } else { STEPS_A_WAIT };
     let mut walls = vec![];
     for _ in 0..repeats.max(1) {
@@ -156,7 +157,7 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
     Ok(StepTimes { stages, step_seconds: median(walls).unwrap_or(0.0), frame_seconds, pairs, evaluations, visible })
 }
 
-/// All that a step can do, at rates of 0: the next is the same again.
+/// A step with everything enabled, at learning rates of 0, so that steps can be repeated.
 fn unmoving<'a>(scene: &HybridScene, camera: &'a Camera, truth: &'a [u8]) -> Step<'a> {
     let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
     Step {
@@ -193,7 +194,7 @@ fn unmoving<'a>(scene: &HybridScene, camera: &'a Camera, truth: &'a [u8]) -> Ste
     }
 }
 
-/// See [`StepTimes::stages`].
+/// Computes [`StepTimes::stages`].
 fn kernels(training: &mut Training, step: &Step, repeats: usize) -> Result<Vec<StageTime>, GpuError> {
     training.profile();
     let mut kernels: Vec<(String, Vec<f64>)> = vec![];
@@ -217,7 +218,7 @@ fn kernels(training: &mut Training, step: &Step, repeats: usize) -> Result<Vec<S
     Ok(kernels.into_iter().map(stage).collect())
 }
 
-/// See [`StepTimes::evaluations`].
+/// Computes [`StepTimes::evaluations`].
 fn evaluations(gpu: &Gpu, training: &Training, camera: &Camera) -> Result<usize, GpuError> {
     let (width, height) = (camera.intrinsics().width as usize, camera.intrinsics().height as usize);
     let lists = &training.pipeline.front.lists;

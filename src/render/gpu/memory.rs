@@ -1,19 +1,20 @@
-//! How much memory training takes.
+//! Memory needed for training.
 
 use super::{blend::moments, device::Gpu, front::PAIRS_PER_SPLAT, mesh::BIN, state::GEOMETRY_FLOATS, view::TILE};
 use crate::scene::sh;
 
-/// Splats that buffers have room for beyond those there are, as a fraction: growing them means new buffers.
+/// Room for additional splats in buffers, as a fraction of those there are: growing means new buffers.
 const HEADROOM: f64 = 0.5;
 
-/// Most splats of a degree whose longest array fits one binding of the adapter.
+/// Largest number of splats of a degree whose longest array fits one binding of the adapter.
 #[must_use]
 pub fn most_splats(gpu: &Gpu, sh_degree: u32) -> usize {
     let bytes_each = 4 * (3 * sh::coefficients(sh_degree)).max(GEOMETRY_FLOATS);
     gpu.max_binding_bytes() as usize / bytes_each
 }
 
-/// Splats that buffers for `n` of a degree have room for: no more than the adapter binds at once, which `n` itself may still exceed.
+/// Capacity of buffers for `n` splats of a degree: no more than the adapter binds at once, unless `n` itself exceeds
+/// that.
 pub(crate) fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
     (n + headroom(n)).min(most_splats(gpu, sh_degree)).max(n)
 }
@@ -22,51 +23,51 @@ fn headroom(n: usize) -> usize {
     (n as f64 * HEADROOM) as usize
 }
 
-/// What the memory of a training run depends on.
+/// Sizes that determine the memory of a training run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrainingSize {
-    /// Splats.
+    /// Number of splats.
     pub splats: usize,
-    /// Of the splats.
+    /// SH degree of the splats.
     pub sh_degree: u32,
-    /// Density control goes by absolute gradients.
+    /// Whether density control uses absolute gradients.
     pub absolute_gradients: bool,
-    /// Poses of photographs are refined.
+    /// Whether poses of photographs are refined.
     pub poses_move: bool,
     /// Triangles of all meshes.
     pub triangles: usize,
-    /// Their vertices are free to move.
+    /// Whether their vertices move.
     pub vertices_move: bool,
     /// Floats of all maps, without mips: 4 per base texel, 3·((d+1)²−1) per texel of bands.
     pub map_floats: usize,
     /// Mesh layers, 0 without a mesh.
     pub layers: usize,
-    /// Of the largest image.
+    /// Width of the largest image.
     pub width: usize,
-    /// Of the largest image.
+    /// Height of the largest image.
     pub height: usize,
 }
 
-/// Bytes of GPU buffers that training takes, by what they grow with.
+/// Bytes of GPU buffers needed for training, by what they scale with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrainingBytes {
     /// Parameters, gradients, moments and lists of the splats, with room for half as many again.
     pub splats: u64,
     /// Maps of the meshes, with mips, gradients and moments; triangles.
     pub meshes: u64,
-    /// Images, layers and what the loss needs.
+    /// Images, layers and the loss's buffers.
     pub images: u64,
 }
 
 impl TrainingBytes {
-    /// All of it.
+    /// Sum of all bytes, saturating.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.splats.saturating_add(self.meshes).saturating_add(self.images)
     }
 }
 
-/// Bytes of GPU buffers that training takes, as long as no view has more (tile, splat) pairs than there is room for at
+/// Bytes of GPU buffers needed for training, as long as no view has more (tile, splat) pairs than there is room for at
 /// first. Saturates.
 #[must_use]
 pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
@@ -92,9 +93,9 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
     if layers > 0 {
         per_pixel += (1 + 1 + 4 + 4) * layers;
         per_bin = 2 + 16;
-        // Texels and gradients have mips of up to five levels, the two moments none. Triangles, UVs, corners, boxes, four
-        // pairs; a closed mesh has half as many vertices as triangles. To move, normals of corners; of vertices gradient, moments,
-        // normals, steps, and neighbours with where they begin.
+        // Texels and gradients have mips of up to five levels, the two moments none. Per triangle: indices, UVs,
+        // corners, boxes, four pairs; a closed mesh has half as many vertices as triangles. For moving: per triangle
+        // the corners' normals; per vertex gradient, moments, normals, steps, and neighbours with their starts.
         let (map_floats, triangles) = (wide(s.map_floats), wide(s.triangles));
         let (by_triangle, by_vertex) = if s.vertices_move { (12, 2 + 2 + 4 + 4 + 6 + 1) } else { (0, 0) };
         meshes = bytes(&[
@@ -105,7 +106,8 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         ]);
     }
     TrainingBytes {
-        // Pairs: keys and values, twice, splats, those with their numbers, sums. The counters of two sorts, by chunks or by blocks.
+        // Pairs: keys and values, twice; splats, also with numbers; sums. The counters of two sorts, by chunks or by
+        // blocks.
         splats: bytes(&[
             (splats, per_splat),
             (pairs, 4 + 1 + 2 + sums),

@@ -1,5 +1,5 @@
-//! Mesh layers by compute: the L nearest fragments per pixel, their colour and alpha, and the way
-//! back from the gradient of these to the texels.
+//! Mesh layers by compute: the L nearest fragments per pixel, their colour and alpha, and the backward pass from the
+//! gradient of these to the texels.
 //!
 //! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.
 //! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters); then `adam_texels` → `build_mips`. Without
@@ -18,7 +18,7 @@ use crate::scene::{Atlas, Camera, Intrinsics, Mesh};
 /// a dense mesh are a few pixels large, and every triangle is tested at every pixel of its bins.
 pub(crate) const BIN: u32 = 8;
 
-/// Meshes on the adapter, and per-pixel layers of the view that was rendered last.
+/// Meshes on the adapter, and per-pixel layers of the last rendered view.
 pub(crate) struct MeshStage {
     layers: u32,
     n_triangles: usize,
@@ -31,7 +31,7 @@ pub(crate) struct MeshStage {
     trainable: bool,
 }
 
-/// What does not depend on the view's size. Bytes per triangle: 16 + 32 + 48 + 8, and 12 per vertex.
+/// Buffers that do not depend on the view's size. Bytes per triangle: 16 + 32 + 48 + 8, and 12 per vertex.
 struct Geometry {
     positions: Buffer,
     triangles: Buffer,
@@ -42,7 +42,8 @@ struct Geometry {
     pairs_needed: Buffer,
 }
 
-/// What depends on it. Bytes per pixel and layer: 24 to render, 16 more to train; 8 per bin; 4 per pair.
+/// Buffers that depend on the view's size. Bytes per pixel and layer: 24 to render, 16 more to train; 8 per bin; 4 per
+/// pair.
 struct Screen {
     pixels: usize,
     bins: usize,
@@ -69,10 +70,10 @@ struct Kernels {
 
 struct Bound {
     bins: usize,
-    /// Threads that go through the bins of triangles.
+    /// Threads that process the triangles' bins.
     binning_threads: usize,
     fragments: usize,
-    /// Threads of the texels' gradients for all layers.
+    /// Threads of the texel gradients for all layers.
     texel_threads: usize,
     setup: Stage,
     count: Stage,
@@ -80,33 +81,36 @@ struct Bound {
     scatter: Stage,
     raster: Stage,
     shade: Stage,
-    /// The largest gradient, then those of the texels.
+    /// Largest gradient, then the gradients of texels.
     backward: Option<[Stage; 2]>,
     vertices: Option<[Stage; 3]>,
 }
 
-/// Kernel of the texels' gradients, and the pixels, across and down, that so many of its threads take together. On a software adapter
-/// an atomic addition takes each lane in turn, so a thread adds to a texel once for all pixels of a column; hardware wants the threads.
+/// Kernel of the texel gradients, the pixels, across and down, that a group of its threads takes, and the number of
+/// these threads. On a software adapter atomic additions take each lane in turn, so a thread adds to a texel once for
+/// all pixels of a column; hardware wants the threads.
 fn texel_backward(gpu: &Gpu) -> (&'static str, [u32; 2], u32) {
     if gpu.profile().is_cpu { ("texel_backward_serial.wgsl", [1, 32], 1) } else { ("texel_backward.wgsl", [8, 8], 64) }
 }
 
-/// Bins of a picture whose part in a triangle is left to one thread. On a GPU nothing bounds that, but one thread waits for an addition in each:
-/// a wall of two triangles would hold up the frame.
+/// Largest number of a picture's bins that one thread processes for a triangle. A GPU has no hard limit, but the thread
+/// waits for an addition in each bin: a wall of two triangles would hold up the frame.
 fn most_bins(gpu: &Gpu) -> usize {
     gpu.loop_passes().map_or(4096, |passes| passes / 4 * 3)
 }
 
-/// Most threads that go through the bins of triangles. They are numbered by 32 bits, with those that fill up the last row of a dispatch.
+/// Most threads that process the triangles' bins. Their numbers, including those that fill up the last row of a
+/// dispatch, have 32 bits.
 const MOST_BINNING_THREADS: usize = 1 << 31;
 
-/// Threads that share out the rows of each triangle, `most_bins` of a picture's bins to each. Of very many triangles in a very large picture
-/// fewer, with more bins to each: software adapters, where that may be too many ([`Gpu::loop_passes`]), bind no list of so many triangles.
+/// Number of threads among which the rows of each triangle are divided, `most_bins` of a picture's bins to each. For
+/// very many triangles in a very large picture there are fewer, with more bins to each; software adapters, where that
+/// may be too many ([`Gpu::loop_passes`]), cannot bind lists of so many triangles.
 pub(super) fn binning_shares(triangles: usize, bins: usize, most_bins: usize) -> usize {
     bins.div_ceil(most_bins).min(MOST_BINNING_THREADS / triangles.max(1)).max(1)
 }
 
-/// Bins of a picture.
+/// Number of bins of a picture.
 fn bins(k: &Intrinsics) -> usize {
     k.width.div_ceil(BIN) as usize * k.height.div_ceil(BIN) as usize
 }
@@ -189,8 +193,8 @@ impl Kernels {
 }
 
 impl MeshStage {
-    /// Uploads `meshes`. `layers` is 1, 2 or 4; a step's `status` adds what `record_backward` and `record_adam`
-    /// need.
+    /// Uploads `meshes`. `layers` is 1, 2 or 4; a step's `status` adds the buffers of `record_backward` and
+    /// `record_adam`.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
@@ -234,7 +238,7 @@ impl MeshStage {
         Ok(grow)
     }
 
-    /// As [`Self::make_room`] for a view, which is what frames recorded from now on are of.
+    /// As [`Self::make_room`] for a view, which sets the size of frames recorded from now on.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
@@ -250,7 +254,8 @@ impl MeshStage {
         Ok(grew)
     }
 
-    /// Most (bin, triangle) pairs that a frame needed so far: one that needed more than there was room for lacks triangles. Waits.
+    /// Largest number of (bin, triangle) pairs that a frame has needed; frames that needed more than the capacity lack
+    /// triangles. Waits.
     ///
     /// # Errors
     /// If the driver failed.
@@ -258,12 +263,12 @@ impl MeshStage {
         Ok(gpu.read::<u32>(&self.geometry.pairs_needed, 1)?[0] as usize)
     }
 
-    /// Pairs that fit.
+    /// Capacity for (bin, triangle) pairs.
     pub(crate) fn pair_capacity(&self) -> usize {
         self.screen.capacity
     }
 
-    /// `array<u32>` `[1]`: most pairs that a view needed; the pairs themselves.
+    /// Buffers `array<u32>` `[1]` of the most pairs that a view needed, and of the pairs themselves.
     pub(crate) fn pairs(&self) -> [&Buffer; 2] {
         [&self.geometry.pairs_needed, &self.screen.pairs]
     }
@@ -316,7 +321,7 @@ impl MeshStage {
         }
     }
 
-    /// From now on `record_backward` differentiates by the vertices too. `status` is that of the step.
+    /// Enables gradients by the vertices in `record_backward`, and their movement. `status` is that of the step.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -390,13 +395,13 @@ impl MeshStage {
         &self.screen.layer_color
     }
 
-    /// `array<vec4f>` `[layers, h, w]`: gradient of the loss by `layer_color`. The blend's backward pass writes it.
+    /// `array<vec4f>` `[layers, h, w]`: gradient of the loss by `layer_color`, written by the blend's backward pass.
     pub(crate) fn layer_gradient(&self) -> &Buffer {
         &self.screen.layer_gradient
     }
 
-    /// Index + 1 of the nearest triangle at each of the first `pixels` pixels of the view that was rendered last, 0 where
-    /// there is none.
+    /// Index + 1 of the nearest triangle at each of the first `pixels` pixels of the last rendered view; 0 if there is
+    /// none.
     ///
     /// # Errors
     /// If the driver failed.
@@ -404,7 +409,7 @@ impl MeshStage {
         gpu.read(&self.screen.layer_triangle, pixels)
     }
 
-    /// Depths and colours of all layers for the view in the uniform.
+    /// Appends depths and colours of all layers for the view in the uniform.
     pub(crate) fn record_forward(&self, frame: &mut Frame) {
         let Some(bound) = &self.bound else { return };
         frame.dispatch_threads(&bound.setup, self.n_triangles);
@@ -415,7 +420,7 @@ impl MeshStage {
         frame.dispatch_threads(&bound.shade, bound.fragments);
     }
 
-    /// Gradients of all texels from `layer_gradient`. Nothing happens if not trainable.
+    /// Appends the gradients of all texels from `layer_gradient`; nothing unless trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
         let Some(Bound { backward: Some([peak, texels]), fragments, texel_threads, .. }) = &self.bound else { return };
         self.texels.record_zero_gradients(frame);
@@ -423,7 +428,8 @@ impl MeshStage {
         frame.dispatch_threads(texels, *texel_threads);
     }
 
-    /// Gradients of free vertices from `layer_gradient`, which is used up, and the maps as they were rendered; after `record_backward`.
+    /// Appends the gradients of free vertices from `layer_gradient`, which is overwritten, and the maps as rendered;
+    /// after `record_backward`.
     pub(crate) fn record_vertex_backward(&self, frame: &mut Frame) {
         let Some(Bound { vertices: Some(stages), fragments, .. }) = &self.bound else { return };
         if let Some(free) = &self.vertices {
@@ -436,12 +442,12 @@ impl MeshStage {
         self.texels.set_step(gpu, step);
     }
 
-    /// One step of Adam on the texels, then their mips.
+    /// Appends a step of Adam on the texels, and the rebuilding of their mips.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
         self.texels.record_adam(frame);
     }
 
-    /// The maps as they are now, one atlas per mesh.
+    /// Reads the maps, one atlas per mesh. Waits.
     ///
     /// # Errors
     /// If the driver failed or a texel is not finite.
@@ -458,7 +464,7 @@ impl MeshStage {
         self.texels.read_gradients(gpu)
     }
 
-    /// Of free vertices, along their normals, `[V]`; empty if none are.
+    /// Gradients of free vertices along their normals, `[V]`; empty if there are none.
     ///
     /// # Errors
     /// If the driver failed.

@@ -1,5 +1,5 @@
-//! The compute pipeline on wgpu. `device` is the only module that talks to wgpu; every stage is one WGSL file of the
-//! same name in `shaders/`.
+//! The compute pipeline on wgpu. Only `device` uses wgpu directly; every stage is one WGSL file of the same name in
+//! `shaders/`.
 
 pub(crate) mod adam;
 mod backward;

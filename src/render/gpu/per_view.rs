@@ -1,42 +1,42 @@
-//! What every view of a capture has of its own, exposures and poses, while Adam moves those of training views: a few numbers, two moments
-//! of each, a count of steps.
+//! Per-view parameters (exposures, poses) optimised by Adam: a few numbers for every view of a capture, two moments of
+//! each, a count of steps. Only those of training views change.
 
 use super::{
     adam::bias_corrections,
     device::{Buffer, Gpu, GpuError},
 };
 
-/// `N` numbers of each of V views, with what Adam holds of them.
+/// `N` numbers for each of V views, with their Adam state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct PerView<const N: usize> {
-    /// `[V·N]`.
+    /// Values, `[V·N]`.
     pub(crate) values: Vec<f32>,
-    /// First and second moments, as the values.
+    /// First and second moments, laid out as the values.
     pub(crate) moments: [Vec<f32>; 2],
     /// Steps so far, `[V]`.
     pub(crate) steps: Vec<u32>,
 }
 
 impl<const N: usize> PerView<N> {
-    /// The same numbers for each of so many views.
+    /// The same initial numbers for each of `views` views.
     pub(crate) fn beginning_at(values: [f32; N], views: usize) -> Self {
         let zeros = || vec![0.0; N * views];
         Self { values: values.repeat(views), moments: [zeros(), zeros()], steps: vec![0; views] }
     }
 
-    /// Whether it is one of so many views.
+    /// Whether all arrays have the lengths for this many views.
     pub(crate) fn is_of(&self, views: usize) -> bool {
         let is_full = |floats: &Vec<f32>| floats.len() == N * views;
         is_full(&self.values) && self.moments.iter().all(is_full) && self.steps.len() == views
     }
 }
 
-/// The same on the GPU, steps aside, which the host counts.
+/// The same state on the GPU, except step counts, which the host keeps.
 pub(super) struct PerViewBuffers<const N: usize> {
     pub(super) values: Buffer,
     pub(super) moments: [Buffer; 2],
     steps: Vec<u32>,
-    /// Views of the steps that are not known to have been taken, in order; `None` of one that counts for no view.
+    /// Views of the steps not yet known to have been taken, in order; `None` for a step that counts for no view.
     unsettled: Vec<Option<usize>>,
 }
 
@@ -53,15 +53,16 @@ impl<const N: usize> PerViewBuffers<N> {
         })
     }
 
-    /// Counts a step of a view, which turns out later to have been taken ([`Self::settle`]). Without `moves` it counts for none. The words of
-    /// the correction of Adam's bias.
+    /// Counts a step of a view, provisionally until [`Self::settle`]. Without `moves` it counts for none. Returns the
+    /// words of Adam's bias correction.
     pub(super) fn count(&mut self, view: usize, moves: bool) -> [u32; 2] {
         self.steps[view] = self.steps[view].saturating_add(u32::from(moves));
         self.unsettled.push(moves.then_some(view));
         bias_corrections(self.steps[view]).map(f32::to_bits)
     }
 
-    /// The last `skipped` of the steps that were counted since the last call changed nothing: they are to be taken again, and counted then.
+    /// Takes back the last `skipped` of the steps counted since the last call: they changed nothing, and will be
+    /// repeated and counted then.
     pub(super) fn settle(&mut self, skipped: u32) {
         let taken = self.unsettled.len().saturating_sub(skipped as usize);
         for view in self.unsettled.drain(..).skip(taken).flatten() {
@@ -69,7 +70,7 @@ impl<const N: usize> PerViewBuffers<N> {
         }
     }
 
-    /// Everything of it. Waits.
+    /// Reads the whole state. Waits.
     ///
     /// # Errors
     /// If the driver failed.
@@ -80,7 +81,7 @@ impl<const N: usize> PerViewBuffers<N> {
         Ok(PerView { values, moments, steps: self.steps.clone() })
     }
 
-    /// Replaces everything by a state of as many views.
+    /// Replaces the state by one of as many views.
     pub(super) fn write(&mut self, gpu: &Gpu, state: &PerView<N>) {
         gpu.write(&self.values, 0, &state.values);
         self.moments.iter().zip(&state.moments).for_each(|(buffer, values)| gpu.write(buffer, 0, values));

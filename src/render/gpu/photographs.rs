@@ -1,27 +1,28 @@
-//! The photograph that a step compares its picture with, and those that stay on the adapter, so that they are not sent anew in every epoch.
+//! Photographs on the adapter: the one that a step compares its picture with, and those that are kept to avoid
+//! uploading them in every epoch.
 
 use std::collections::HashMap;
 
 use super::device::{Buffer, Frame, Gpu, GpuError};
 
-/// Photographs in RGBA8.
+/// Photographs on the adapter in RGBA8.
 pub(crate) struct UploadedPhotographs {
-    /// `[h·w]`: what the loss reads.
+    /// Photograph that the loss reads, `[h·w]`.
     pub(crate) shown: Buffer,
     kept: Kept,
 }
 
-/// Those that stay.
+/// Photographs kept on the adapter.
 #[derive(Default)]
 struct Kept {
-    /// By number, with its bytes.
+    /// Bytes and buffer of each photograph, by number.
     photographs: HashMap<usize, (u64, Buffer)>,
-    /// Bytes that there is still room for.
+    /// Bytes still available for more.
     room: u64,
 }
 
 impl UploadedPhotographs {
-    /// Of up to `pixels` pixels. None are kept.
+    /// Room for photographs of up to `pixels` pixels. None are kept yet.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -29,12 +30,12 @@ impl UploadedPhotographs {
         Ok(Self { shown: gpu.storage("photograph", pixels)?, kept: Kept::default() })
     }
 
-    /// From now on those that have a number are kept, up to so many bytes.
+    /// Keeps photographs that have a number from now on, up to this many bytes.
     pub(crate) fn keep(&mut self, bytes: u64) {
         self.kept = Kept { photographs: HashMap::new(), room: bytes };
     }
 
-    /// Makes a photograph the one that the rest of the frame reads. Under one `number` and size it is always the same.
+    /// Sets the photograph for the rest of the frame. The same `number` and size must always mean the same photograph.
     pub(crate) fn show(&mut self, gpu: &Gpu, frame: &mut Frame, rgba: &[u8], number: Option<usize>) {
         match number.and_then(|number| self.kept.get(gpu, rgba, number)) {
             Some(kept) => frame.copy(kept, &self.shown),
@@ -44,10 +45,10 @@ impl UploadedPhotographs {
 }
 
 impl Kept {
-    /// That photograph on the adapter, sent there if it is not there yet; none where there is no room for it.
+    /// The kept photograph of this number, uploaded if it is not there yet; `None` if there is no room.
     fn get(&mut self, gpu: &Gpu, rgba: &[u8], number: usize) -> Option<&Buffer> {
         let bytes = rgba.len() as u64;
-        // Pictures grow while they are trained on.
+        // Pictures grow during coarse-to-fine training.
         if let Some(of_before) = self.photographs.get(&number).map(|(bytes, _)| *bytes).filter(|b| *b != bytes) {
             self.photographs.remove(&number);
             self.room += of_before;
@@ -55,7 +56,7 @@ impl Kept {
         if !self.photographs.contains_key(&number) {
             let left = self.room.checked_sub(bytes)?;
             let Ok(buffer) = gpu.storage("kept photograph", rgba.len() / 4) else {
-                // What there is is needed for other things.
+                // The remaining memory is needed for other things.
                 self.room = 0;
                 return None;
             };

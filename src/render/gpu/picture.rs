@@ -1,4 +1,4 @@
-//! Pictures as they are read back.
+//! Rendered pictures.
 
 use image::{Rgb, RgbImage};
 
@@ -13,7 +13,7 @@ pub struct Picture {
     pub height: u32,
     /// Colour over the background, not clamped above. `[height·width]`
     pub rgb: Vec<[f32; 3]>,
-    /// What is left of the background. `[height·width]`
+    /// Weight of the background. `[height·width]`
     pub transmittance: Vec<f32>,
 }
 
@@ -29,7 +29,8 @@ impl Picture {
         image
     }
 
-    /// Premultiplied colour and alpha without the `background` that the picture is over. `[height·width]`
+    /// Premultiplied colour and alpha, with the `background` that the picture is composited over removed.
+    /// `[height·width]`
     #[must_use]
     pub fn premultiplied(&self, background: [f32; 3]) -> Vec<[f32; 4]> {
         let pixel = |(rgb, &t): (&[f32; 3], &f32)| {

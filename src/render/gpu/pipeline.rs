@@ -1,4 +1,5 @@
-//! One frame from parameters to the image: which stage runs when, on which buffers. `backward` is the way back.
+//! Forward pass of a frame, from parameters to the image: order of the stages, and their buffers. `backward` is the
+//! backward pass.
 
 use super::{
     blend::Blend,
@@ -11,15 +12,15 @@ use super::{
 use crate::render::contract::ImageModel;
 use crate::scene::{Camera, HybridScene};
 
-/// Everything that one view's frame reads and writes.
+/// Buffers and stages of one view's frame.
 pub(crate) struct Pipeline {
     pub(crate) front: Front,
     pub(crate) blend: Blend,
 }
 
 impl Pipeline {
-    /// A pipeline for the scene, up to `capacity` splats (at least those it has), seen by `cameras`. With the `status` of a
-    /// training it is one that can be differentiated.
+    /// A pipeline for the scene, with room for `capacity` splats (at least those it has), seen by `cameras`. With a
+    /// training's `status` it can be differentiated.
     pub(crate) fn new(
         gpu: &Gpu,
         scene: &HybridScene,
@@ -40,7 +41,7 @@ impl Pipeline {
         Ok((view, grew))
     }
 
-    /// Appends everything from parameters to the image.
+    /// Appends all stages from parameters to the image.
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, view: &View) {
         self.front.record(gpu, frame, view);
         self.blend.record(frame, view.n_tiles());
@@ -90,14 +91,14 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Blends the lists that there are now, if they have been made anew.
+    /// Rebinds the blend to the present lists, if they were replaced.
     fn rebind(&mut self, gpu: &Gpu, renewed: bool) {
         if renewed {
             self.blend.rebind(gpu, &self.front.lists, &self.front.view, self.front.layers());
         }
     }
 
-    /// The image of the last frame, which was of `camera`. Waits.
+    /// Reads the image of the last frame, which was of `camera`. Waits.
     pub(crate) fn read_picture(&self, gpu: &Gpu, camera: &Camera) -> Result<Picture, GpuError> {
         let k = camera.intrinsics();
         let words: Vec<[f32; 4]> = gpu.read(&self.blend.image, k.pixels())?;
@@ -109,8 +110,8 @@ impl Pipeline {
         })
     }
 
-    /// Median depth of the splats alone, `[h·w]`, 0 where there is none, in a view that all is bound for, as after a frame: not all of it where lists
-    /// were too short. Does not wait.
+    /// Renders the median depth of the splats alone, `[h·w]`, 0 where there is none, for a view that the pipeline is
+    /// prepared for; incomplete if lists were too short. Does not wait.
     ///
     /// # Errors
     /// If the adapter has no memory left.

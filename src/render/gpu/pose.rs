@@ -1,4 +1,4 @@
-//! Poses of photographs while a scene is trained (`shaders/pose.wgsl`).
+//! Poses of photographs during training (`shaders/pose.wgsl`).
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -11,17 +11,17 @@ use super::{
 };
 use crate::scene::{Camera, center_and_spread};
 
-/// Workgroups of `pull`: as many as threads of `update`.
+/// Workgroups of `pull`, equal to the threads of `update`.
 const PARTS: usize = 256;
-/// Floats of a view.
+/// Floats per view.
 pub(crate) const FLOATS: usize = 8;
 
-/// How the camera of each view differs from the one that is known: rotated after its rotation W, W' = exp(ω)·W, about a centre that is
-/// shifted, C' = C + c: ω in camera axes (radians), 0, c in the world's unit, 0.
+/// Corrections of each view's known camera: a rotation after its rotation W, W' = exp(ω)·W, about a shifted centre, C'
+/// = C + c. Per view: ω in camera axes (radians), 0, c in the world's unit, 0.
 pub(crate) type PoseState = PerView<FLOATS>;
 
 impl PoseState {
-    /// Cameras as they are known.
+    /// Zero corrections.
     pub(crate) fn new(views: usize) -> Self {
         Self::beginning_at([0.0; FLOATS], views)
     }
@@ -36,20 +36,21 @@ impl PoseState {
         self.values[FLOATS * view..FLOATS * (view + 1)].copy_from_slice(words.as_flattened());
     }
 
-    /// The camera of a view, which is known as `camera`.
+    /// The corrected camera of a view whose known camera is `camera`.
     pub(crate) fn apply(&self, view: usize, camera: &Camera) -> Camera {
         let [turn, shift] = self.of(view);
         if (turn, shift) == (DVec3::ZERO, DVec3::ZERO) {
             return *camera;
         }
         let rotation = DMat3::from_quat(DQuat::from_scaled_axis(turn)) * camera.rotation();
-        // What is not finite was found by the step that made it.
+        // A non-finite correction was detected by the step that made it.
         Camera::new(*camera.intrinsics(), rotation, -(rotation * (camera.center() + shift))).unwrap_or(*camera)
     }
 
-    /// Takes out what the `views` have in common: scene and cameras could be moved, turned and scaled together, and no photograph
-    /// would tell. Of all similarities x + s + θ×d + σd, where d = x − mean of centres, the one nearest to what was changed,
-    /// rotations (radians) counting as much as centres (of `cameras`' root mean square distance from their mean).
+    /// Removes the similarity that the corrections of `views` have in common: scene and cameras could be moved, rotated
+    /// and scaled together without any photograph telling. It is the similarity x + s + θ×d + σd, d = x − mean of
+    /// centres, nearest to the corrections, with rotations (radians) weighted like centres (relative to the root mean
+    /// square distance of `cameras` from their mean).
     pub(crate) fn center(&mut self, cameras: &[Camera], views: &[usize]) {
         let n = views.len().max(1) as f64;
         let (mean, _) = center_and_spread(views.iter().map(|&i| &cameras[i]));
@@ -61,7 +62,7 @@ impl PoseState {
             .collect();
         let of_all = |f: fn(&(DVec3, DVec3, DVec3)) -> DVec3| found.iter().map(f).sum::<DVec3>();
         let shift = of_all(|f| f.1) / n;
-        // Cameras in one place, but for rounding, have no scale.
+        // Coincident cameras, up to rounding, have no scale.
         let square: f64 = found.iter().map(|f| f.0.length_squared()).sum();
         let weight = if square > 1e-18 * n * mean.length_squared() { n / square } else { 0.0 };
         let growth = weight / n * found.iter().map(|f| f.0.dot(f.1)).sum::<f64>();
@@ -74,19 +75,19 @@ impl PoseState {
     }
 }
 
-/// Which photograph a step trains on.
+/// Pose step of a training step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PoseStep {
-    /// Its view.
+    /// View of the photograph.
     pub(crate) view: usize,
-    /// Rates of Adam, radians and world units; 0: the pose stays as it is.
+    /// Learning rates, radians and world units; 0 leaves the pose as it is.
     pub(crate) turn_rate: f32,
     pub(crate) shift_rate: f32,
 }
 
-/// The poses of all views, and the stages before and after the frame.
+/// Poses of all views, and their stages before and after the frame.
 pub(crate) struct Poses {
-    /// Correct, pull and update.
+    /// Kernels `correct`, `pull` and `update`.
     kernels: [Kernel; 3],
     step: Buffer,
     views: PerViewBuffers<FLOATS>,
@@ -108,7 +109,7 @@ impl Poses {
         })
     }
 
-    /// Binds the buffers of a pipeline and its way back, if that differentiates by poses.
+    /// Binds to the buffers of a pipeline and its backward pass, if the latter differentiates by poses.
     pub(crate) fn bind(&mut self, gpu: &Gpu, pipeline: &Pipeline, backward: &Backward) {
         if let Some(by_turn) = &backward.splats.turn {
             let gradients = [by_turn, &backward.splats.geometry];
@@ -126,8 +127,8 @@ impl Poses {
         self.stages = Some(self.kernels.each_ref().map(|kernel| kernel.bind(gpu, &buffers)));
     }
 
-    /// Appends to a frame, before anything else of it, what makes its view the corrected one, and says what [`Self::record_update`]
-    /// is to do.
+    /// Appends, before anything else of a frame, the correction of its view, and sets the step for
+    /// [`Self::record_update`].
     pub(crate) fn record_correction(&mut self, gpu: &Gpu, frame: &mut Frame, step: &PoseStep) {
         let Some([correct, ..]) = &self.stages else { return };
         let [first, second] = self.views.count(step.view, step.turn_rate != 0.0);
@@ -145,12 +146,12 @@ impl Poses {
         }
     }
 
-    /// The last `skipped` steps changed nothing, see [`PerViewBuffers::settle`].
+    /// Takes back the last `skipped` steps, see [`PerViewBuffers::settle`].
     pub(crate) fn settle(&mut self, skipped: u32) {
         self.views.settle(skipped);
     }
 
-    /// Everything of it. Waits.
+    /// Reads the whole state. Waits.
     ///
     /// # Errors
     /// If the driver failed.
@@ -158,7 +159,7 @@ impl Poses {
         self.views.read(gpu)
     }
 
-    /// Replaces everything by a state of as many views.
+    /// Replaces the state by one of as many views.
     pub(crate) fn write(&mut self, gpu: &Gpu, state: &PoseState) {
         self.views.write(gpu, state);
     }

@@ -1,4 +1,4 @@
-//! Rendering a finished scene.
+//! Renderer of finished scenes.
 
 use super::{
     device::{Frame, Gpu, GpuError},
@@ -7,7 +7,7 @@ use super::{
 };
 use crate::scene::{Camera, HybridScene};
 
-/// A scene on the GPU, ready to be looked at.
+/// Renderer of a scene, with the scene on the GPU.
 pub struct Renderer<'g> {
     gpu: &'g Gpu,
     pipeline: Pipeline,
@@ -17,7 +17,7 @@ impl<'g> Renderer<'g> {
     /// Uploads the scene and makes room for pictures up to the sizes of `cameras`.
     ///
     /// # Errors
-    /// If the adapter cannot hold it, or its composition is not valid.
+    /// If the adapter cannot hold the scene, or its composition is not valid.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera]) -> Result<Self, GpuError> {
         scene.composition.validate()?;
         Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, None)? })
@@ -50,7 +50,7 @@ impl<'g> Renderer<'g> {
         }
     }
 
-    /// Seconds per frame over `frames` renderings of `camera` without read-back, after one to warm up.
+    /// Mean seconds per frame over `frames` renderings of `camera` without read-back, after one to warm up.
     ///
     /// # Errors
     /// As [`Renderer::render`].

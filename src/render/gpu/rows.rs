@@ -1,11 +1,11 @@
-//! Splats in a new order, without their way through the host (`shaders/gather_rows.wgsl`).
+//! Rearrangement of splats on the GPU, without a detour through the host (`shaders/gather_rows.wgsl`).
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Kernel},
     splats::{GEOMETRY, OPACITY},
 };
 
-/// Which splat another takes its SH coefficients and its moments of Adam from.
+/// Index of the splat whose SH coefficients and Adam moments another takes over, with flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Source(u32);
 
@@ -24,13 +24,13 @@ impl Source {
         Self(i as u32)
     }
 
-    /// The same with moments of zero.
+    /// The same source, with all moments set to zero.
     #[must_use]
     pub(crate) fn without_moments(self) -> Self {
         Self(self.0 | Self::FRESH)
     }
 
-    /// The same with moments of zero for the opacity.
+    /// The same source, with the moments of the opacity set to zero.
     #[must_use]
     pub(crate) fn without_opacity_moments(self) -> Self {
         Self(self.0 | Self::FRESH_OPACITY)
@@ -42,7 +42,8 @@ impl Source {
         (self.0 & Self::SPLAT) as usize
     }
 
-    /// What [`RowGather::run`] does, here: puts the rows of `before`, of `width` floats each, into the order of `sources`, as `what` they are.
+    /// [`RowGather::run`] on the host: rearranges the rows of `before`, of `width` floats each, by `sources`, according
+    /// to `what` they hold.
     #[cfg(test)]
     pub(crate) fn gather(sources: &[Self], before: &[f32], width: usize, what: Rows) -> Vec<f32> {
         let mut after = Vec::with_capacity(sources.len() * width);
@@ -60,7 +61,7 @@ impl Source {
     }
 }
 
-/// What rows hold.
+/// Content of rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rows {
     /// SH coefficients.
@@ -71,16 +72,16 @@ pub(crate) enum Rows {
     GeometryMoments,
 }
 
-/// Moves rows of splats on the GPU, those that change.
+/// Rearranges rows of splats on the GPU, touching only those that change.
 pub(crate) struct RowGather {
-    /// `[parameters, SH moments, geometry moments]`: fetch and place.
+    /// Kernels `fetch` and `place`, for `[parameters, SH moments, geometry moments]`.
     kernels: [[Kernel; 2]; 3],
     sh_floats: usize,
     size: Buffer,
 }
 
 impl RowGather {
-    /// For splats with `sh_floats` = 3·(degree+1)² SH floats each.
+    /// Kernels for splats with `sh_floats` = 3·(degree+1)² SH floats each.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -100,8 +101,8 @@ impl RowGather {
         Ok(Self { kernels, sh_floats, size: gpu.uniform("changes of rows", 4)? })
     }
 
-    /// Puts the rows of every buffer into the order of `sources`, by way of another at its side, which is as long. Takes time for rows that
-    /// change only. Does not wait.
+    /// Rearranges the rows of every buffer by `sources`, using the buffer paired with it, of the same length, as
+    /// scratch space. The cost is that of the rows that change. Does not wait.
     ///
     /// # Errors
     /// If the adapter has no memory left.

@@ -1,4 +1,4 @@
-//! Prefix sums on the GPU (`shaders/scan.wgsl`), and the size of dispatches whose length only the GPU knows.
+//! Prefix sums on the GPU (`shaders/scan.wgsl`), and sizes of dispatches whose length only the GPU knows.
 
 use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 
@@ -13,7 +13,7 @@ pub(crate) struct DispatchSizes {
 }
 
 impl DispatchSizes {
-    /// For `counts[count_word]` items, at most `capacity`, in workgroups of any of `blocks` (at most four).
+    /// Sizes for `counts[count_word]` items, at most `capacity`, in workgroups of any of `blocks` (at most four).
     pub(crate) fn new(
         gpu: &Gpu,
         capacity: usize,
@@ -30,29 +30,30 @@ impl DispatchSizes {
         Ok(Self { compute, sizes, blocks: blocks.to_vec() })
     }
 
-    /// Computes the sizes from the count as it is at this point of the frame.
+    /// Appends the computation of sizes from the count at this point of the frame.
     pub(crate) fn record(&self, frame: &mut Frame) {
         frame.dispatch(&self.compute, 1);
     }
 
-    /// Dispatches `stage`, whose workgroups take `block` items each, one of those that these sizes are for.
+    /// Dispatches `stage`, whose workgroups take `block` items each; `block` must be one of those given to
+    /// [`Self::new`].
     pub(crate) fn dispatch(&self, frame: &mut Frame, stage: &Stage, block: usize) {
         let place = self.blocks.iter().position(|&b| b == block).expect("sizes are for workgroups of that many");
         frame.dispatch_indirect(stage, &self.sizes, place);
     }
 }
 
-/// How many items a stage runs over.
+/// Number of items that a stage runs over.
 #[derive(Clone, Copy)]
 pub(crate) enum Items<'a> {
-    /// As the host knows.
+    /// Known on the host.
     Known(usize),
-    /// As the GPU has counted.
+    /// Counted on the GPU.
     Counted(&'a DispatchSizes),
 }
 
 impl Items<'_> {
-    /// Dispatches `stage`, whose workgroups take `block` of them each.
+    /// Dispatches `stage`, whose workgroups take `block` items each.
     fn dispatch(self, frame: &mut Frame, stage: &Stage, block: usize) {
         match self {
             Self::Known(items) => frame.dispatch(stage, groups(items, block)),
@@ -61,7 +62,7 @@ impl Items<'_> {
     }
 }
 
-/// Exclusive prefix sum of u32.
+/// Exclusive prefix sum of u32 on the GPU.
 pub(crate) struct Scan {
     block: usize,
     sum_blocks: Stage,
@@ -70,7 +71,7 @@ pub(crate) struct Scan {
 }
 
 impl Scan {
-    /// Items that a workgroup takes.
+    /// Items per workgroup.
     pub(crate) fn block(gpu: &Gpu) -> usize {
         THREADS * per_thread(gpu)
     }
@@ -106,7 +107,7 @@ impl Scan {
         })
     }
 
-    /// Appends the scan of `items`, as many as are counted, to a frame.
+    /// Appends the scan of `items`, which must be as many as are counted.
     pub(crate) fn record(&self, frame: &mut Frame, items: Items) {
         items.dispatch(frame, &self.sum_blocks, self.block);
         frame.dispatch(&self.scan_sums, 1);
@@ -114,7 +115,7 @@ impl Scan {
     }
 }
 
-/// Software adapters pay for every barrier, not for idle lanes: long runs per thread.
+/// Items per thread: software adapters pay for every barrier, not for idle lanes, so runs per thread are long.
 fn per_thread(gpu: &Gpu) -> usize {
     if gpu.profile().is_cpu { 64 } else { 8 }
 }

@@ -92,7 +92,7 @@ embed![
     "vertex_backward.wgsl",
 ];
 
-/// Numbers that kernels and the reference have in common, by the names that both have for them.
+/// Numbers shared by kernels and the reference, under the same names in both.
 const CONTRACT: [(&str, f64); 6] = [
     ("ALPHA_CAP", contract::ALPHA_CAP),
     ("ALPHA_CUT", contract::ALPHA_CUT),
@@ -131,7 +131,7 @@ impl Defines {
         self
     }
 
-    /// The same defines with a number, which no directive asks for.
+    /// The same defines with a real number, which directives cannot test.
     pub(crate) fn with_real(mut self, name: &'static str, value: f64) -> Self {
         self.real.insert(name, (value as f32).to_bits());
         self
@@ -154,7 +154,7 @@ impl Defines {
     }
 }
 
-/// The complete WGSL of `file` for these defines. Panics on a malformed shader file: they are part of the program.
+/// The complete WGSL of `file` for these defines. Panics on a malformed shader file, as these are part of the program.
 pub(crate) fn preprocess(file: &str, defines: &Defines) -> String {
     let mut out = String::new();
     for (name, value) in CONTRACT.map(|(name, value)| (name, value as f32)).into_iter().chain(FIXED_POINT) {
@@ -235,7 +235,7 @@ fn block<'a>(lines: &'a [&'a str], start: usize) -> (&'a [&'a str], &'a [&'a str
     panic!("shader block without //#end: {}", lines[start]);
 }
 
-/// How a shader uses one binding of group 0.
+/// Kind of access of a shader to a binding of group 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Access {
     Uniform,
@@ -260,7 +260,7 @@ pub(crate) fn bindings(wgsl: &str) -> Vec<(u32, Access)> {
     found
 }
 
-/// Threads in a workgroup of an entry point of a preprocessed shader.
+/// Workgroup size of an entry point of a preprocessed shader.
 pub(crate) fn workgroup_size(wgsl: &str, entry: &str, defines: &Defines) -> u32 {
     let (before, _) = wgsl.split_once(&format!("fn {entry}(")).expect("the entry point");
     let (_, size) = before.rsplit_once("@workgroup_size(").expect("a size before it");

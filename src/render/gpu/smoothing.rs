@@ -1,14 +1,15 @@
-//! How far splats are smoothed while they are trained (`shaders/filter_splats.wgsl`).
+//! Measurement of how far splats are smoothed during training (`shaders/filter_splats.wgsl`).
 
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel};
 use crate::scene::Camera;
 
-/// Words of a view.
+/// Words per view.
 const VIEW: usize = 20;
-/// Part of the image's size around it within which means count as seen (Mip-Splatting's `scene/gaussian_model.py`).
+/// Margin around the image, relative to its size, within which means count as seen (Mip-Splatting's
+/// `scene/gaussian_model.py`).
 const MARGIN: f64 = 0.15;
 
-/// Mip-Splatting's 3-D filter for the views that splats are trained on.
+/// Mip-Splatting's 3-D filter for the training views.
 pub(crate) struct Smoothing {
     measure: Kernel,
     complete: Kernel,
@@ -20,7 +21,7 @@ pub(crate) struct Smoothing {
 }
 
 impl Smoothing {
-    /// For these views, in which nothing up to depth `near` is seen.
+    /// Filter for these views, which see nothing nearer than depth `near`.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -38,7 +39,7 @@ impl Smoothing {
         })
     }
 
-    /// Sets the deviations of the first `n_splats` splats of a geometry buffer. Does not wait.
+    /// Sets the smoothing deviations of the first `n_splats` splats of a geometry buffer. Does not wait.
     pub(crate) fn run(&self, gpu: &Gpu, geometry: &Buffer, n_splats: usize) {
         gpu.write(&self.uniform, 0, &[n_splats as u32, self.n_views as u32, self.near.to_bits(), 0]);
         let mut frame = Frame::new(gpu);
@@ -51,7 +52,7 @@ impl Smoothing {
     }
 }
 
-/// As `TrainingView` in the shader.
+/// Words of `TrainingView` in the shader.
 fn view_words(camera: &Camera) -> [f32; VIEW] {
     let (k, r, t) = (camera.intrinsics(), camera.rotation(), camera.translation());
     let row = |i: usize| [r.row(i).x, r.row(i).y, r.row(i).z, t[i]];

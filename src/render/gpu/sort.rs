@@ -6,27 +6,28 @@ use super::{
     scan::DispatchSizes,
 };
 
-/// Pairs that a workgroup of `radix_sort.wgsl` takes.
+/// Pairs per workgroup of `radix_sort.wgsl`.
 pub(super) const BLOCK: usize = 2048;
-/// Bits of a key that a pass sorts by, at most.
+/// Most bits of a key per pass.
 const DIGIT_BITS: u32 = 8;
-/// Most chunks of `radix_sort_serial.wgsl`, a thread to each: enough for a few workgroups on each core, few enough that scanning their
-/// 256 counters costs little.
+/// Most chunks of `radix_sort_serial.wgsl`, one per thread: enough for a few workgroups on each core, few enough that
+/// scanning their 256 counters costs little.
 const MAX_CHUNKS: usize = 256;
 
-/// Which of the two shaders.
+/// Choice between the two shaders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Width {
-    /// Many lanes: blocks, put in order by all threads of a workgroup.
+    /// For many lanes: blocks, each sorted by all threads of a workgroup.
     Parallel,
-    /// Few lanes: chunks, each walked by a thread.
+    /// For few lanes: chunks, each processed by one thread.
     Serial,
 }
 
 impl Width {
-    /// For so many pairs. Chunks that are longer than loops go on are left to the blocks of the other.
+    /// Choice for this many pairs. The serial shader is not used if its chunks would exceed the adapter's limit on
+    /// loops.
     fn of(gpu: &Gpu, capacity: usize) -> Self {
-        // Beside those through a chunk, two through all digits.
+        // A thread's passes besides those through its chunk: two through all digits.
         let longest = gpu.loop_passes().map_or(usize::MAX, |passes| passes - (2 << DIGIT_BITS));
         let is_serial = gpu.profile().is_cpu && capacity.div_ceil(MAX_CHUNKS) <= longest;
         if is_serial { Self::Serial } else { Self::Parallel }
@@ -41,12 +42,12 @@ pub(crate) struct Sort {
     values: [Buffer; 2],
 }
 
-/// Passes read one pair of buffers and write the other in turn.
+/// One pass, which reads one pair of buffers and writes the other.
 struct Pass {
     count: Stage,
     scan: Stage,
     scatter: Stage,
-    /// Values that its digit may have.
+    /// Number of values of its digit.
     digits: usize,
 }
 
@@ -80,7 +81,7 @@ impl Sort {
             .with("DIGITS", 1 << DIGIT_BITS)
             .with("BLOCK", BLOCK as u32)
             .with("MAX_CHUNKS", MAX_CHUNKS as u32);
-        // Before the counts of blocks are those of all.
+        // The counts of all blocks together precede those of each.
         let (file, parts) = match width {
             Width::Parallel => ("radix_sort.wgsl", groups(capacity, BLOCK) + 1),
             Width::Serial => ("radix_sort_serial.wgsl", MAX_CHUNKS),
@@ -107,12 +108,12 @@ impl Sort {
         Ok(Self { width, passes, keys, values })
     }
 
-    /// Where the caller writes keys.
+    /// Input keys, written by the caller.
     pub(crate) fn keys_in(&self) -> &Buffer {
         &self.keys[0]
     }
 
-    /// Where the caller writes values.
+    /// Input values, written by the caller.
     pub(crate) fn values_in(&self) -> &Buffer {
         &self.values[0]
     }
@@ -127,7 +128,7 @@ impl Sort {
         &self.values[self.passes.len() % 2]
     }
 
-    /// Appends the sort to a frame. `sizes` are of the pairs, for workgroups of [`BLOCK`] among others.
+    /// Appends the sort to a frame. `sizes` are those of the pairs, including workgroups of [`BLOCK`].
     pub(crate) fn record(&self, frame: &mut Frame, sizes: &DispatchSizes) {
         for Pass { count, scan, scatter, digits } in &self.passes {
             match self.width {

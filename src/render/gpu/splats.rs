@@ -1,4 +1,4 @@
-//! Splats on the GPU: their parameters, and the stages from projection to those in view, by depth.
+//! Splats on the GPU: their parameters, and the stages from projection to visible splats sorted by depth.
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
@@ -20,7 +20,7 @@ pub(crate) const GEOMETRY: usize = 12;
 /// Column of the opacity logit among them.
 pub(crate) const OPACITY: usize = 3;
 
-/// Splat parameters as the shaders keep them.
+/// Splat parameters in the shaders' layout.
 pub(crate) struct SplatBuffers {
     /// `[capacity][3]` vec4.
     pub(crate) geometry: Buffer,
@@ -49,7 +49,7 @@ impl SplatBuffers {
     }
 }
 
-/// Adds what `shaders/shared/sh_coefficients.wgsl` is told of splats of a degree.
+/// Adds the defines of `shaders/shared/sh_coefficients.wgsl` for splats of a degree.
 pub(super) fn with_sh(defines: Defines, sh_degree: u32) -> Defines {
     let terms = sh::coefficients(sh_degree) as u32;
     let fours = (3 * terms).is_multiple_of(4);
@@ -59,7 +59,7 @@ pub(super) fn with_sh(defines: Defines, sh_degree: u32) -> Defines {
         .with("SH_LOADS", if fours { 3 * terms / 4 } else { 3 * terms })
 }
 
-/// `[N·12]` floats in the layout of the geometry buffer.
+/// Geometry of splats in the layout of the geometry buffer, `[N·12]` floats.
 pub(crate) fn pack_geometry(splats: &Splats) -> Vec<f32> {
     let mut out = Vec::with_capacity(splats.len() * GEOMETRY);
     for i in 0..splats.len() {
@@ -71,7 +71,7 @@ pub(crate) fn pack_geometry(splats: &Splats) -> Vec<f32> {
     out
 }
 
-/// Largest image that buffers are made for.
+/// Size of the largest image that buffers are made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ImageCapacity {
     pub(crate) pixels: usize,
@@ -79,7 +79,7 @@ pub(crate) struct ImageCapacity {
 }
 
 impl ImageCapacity {
-    /// For images up to all of these (width, height) pairs.
+    /// Capacity for images up to all of these (width, height) pairs.
     pub(crate) fn of(sizes: impl IntoIterator<Item = (u32, u32)>) -> Self {
         let mut most = Self { pixels: 1, tiles: 1 };
         for (w, h) in sizes {
@@ -89,7 +89,7 @@ impl ImageCapacity {
         most
     }
 
-    /// Error if a picture of this camera does not fit: the driver's own would leave the device unusable.
+    /// Checks that a picture of this camera fits: the driver's own error would leave the device unusable.
     pub(crate) fn check(self, camera: &Camera) -> Result<(), GpuError> {
         let k = camera.intrinsics();
         let of = Self::of([(k.width, k.height)]);
@@ -100,15 +100,15 @@ impl ImageCapacity {
     }
 }
 
-/// From parameters to tile lists.
+/// Stages and buffers from splat parameters to tile lists.
 pub(crate) struct SplatLists {
-    /// `[capacity][3]` vec4, see `project_splats.wgsl`.
+    /// Projected splats, `[capacity][3]` vec4, see `project_splats.wgsl`.
     pub(crate) projected: Buffer,
-    /// `[capacity]`, 1 if the splat touches a tile.
+    /// Visibility, `[capacity]`: 1 if the splat touches a tile.
     pub(crate) visible: Buffer,
-    /// `[capacity][layers]`, see `order_splats.wgsl`; a dummy without layers.
+    /// Order thresholds, `[capacity][layers]`, see `order_splats.wgsl`; a dummy without layers.
     pub(crate) thresholds: Buffer,
-    /// `[capacity][5]` vec4, see `blend_rays.wgsl`; `None` under [`ImageModel::Ewa`].
+    /// Splats in their own frames, `[capacity][5]` vec4, see `blend_rays.wgsl`; `None` under [`ImageModel::Ewa`].
     pub(crate) rays: Option<Buffer>,
     pub(crate) pairs: TilePairs,
     counts: Buffer,
@@ -116,7 +116,7 @@ pub(crate) struct SplatLists {
     purpose: Purpose,
     depth_sort: Sort,
     find_visible: Scan,
-    /// Of those in view.
+    /// Dispatch sizes for the visible splats.
     sizes: DispatchSizes,
     project: Stage,
     compact: Stage,
@@ -124,42 +124,43 @@ pub(crate) struct SplatLists {
     tile_count: Buffer,
 }
 
-/// Pairs have numbers, those of a splat one after the other: how what tiles found of a splat is added up.
+/// Numbering of pairs for the summation of per-tile results of a splat: the pairs of a splat have consecutive numbers.
 pub(crate) struct Numbers<'a> {
     /// `[pair]` vec2u, sorted by tile and depth: splat and number.
     pub(crate) pairs: &'a Buffer,
     /// See [`SplatLists::counts`].
     pub(crate) counts: &'a Buffer,
-    /// Splats in view, by depth.
+    /// Visible splats, by depth.
     pub(crate) splats: &'a Buffer,
-    /// The first number of each of these.
+    /// First number of each of these splats.
     pub(crate) first: &'a Buffer,
-    /// `[splat]`: how many.
+    /// Number of pairs, `[splat]`.
     pub(crate) count: &'a Buffer,
 }
 
-/// What [`SplatLists`] are for.
+/// Purpose of [`SplatLists`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
     /// Pictures under this model.
     Render(ImageModel),
-    /// Gradients under [`ImageModel::Ewa`], too: [`SplatLists::numbers`].
+    /// Gradients under [`ImageModel::Ewa`] as well, using [`SplatLists::numbers`].
     Train,
 }
 
-/// Entries of a list that was too short for `needed`: half as many again, as far as the adapter binds so many and 32 bits count them.
+/// Capacity for a list that was too short for `needed` entries: half as many again, within what the adapter binds and
+/// 32 bits count.
 pub(crate) fn longer_list(gpu: &Gpu, needed: usize) -> usize {
     needed.saturating_add(needed / 2).min(longest_list(gpu)).max(needed)
 }
 
-/// Entries that an adapter binds: in training eight bytes each, splat and number.
+/// Most list entries that an adapter binds: in training eight bytes each, splat and number.
 pub(crate) fn longest_list(gpu: &Gpu) -> usize {
     (gpu.max_binding_bytes() as usize / 8).min(u32::MAX as usize - 1)
 }
 
 impl SplatLists {
-    /// Stages for these parameters. `layer_depth` is the mesh stage's, if there are meshes (with `layers` of them) that
-    /// splats are ordered against by thresholds.
+    /// Stages for these parameters. `layer_depth` is that of the mesh stage with its number of layers, if there are
+    /// meshes that splats are ordered against by thresholds.
     pub(crate) fn new(
         gpu: &Gpu,
         purpose: Purpose,
@@ -254,7 +255,7 @@ impl SplatLists {
         self.pairs.record(frame, &self.sizes);
     }
 
-    /// The pairs with their numbers, in training.
+    /// Pairs with their numbers, filled in training only.
     pub(crate) fn numbers(&self) -> Numbers<'_> {
         Numbers {
             pairs: &self.pairs.numbered,
@@ -265,28 +266,29 @@ impl SplatLists {
         }
     }
 
-    /// Splats, visible splats, pairs, pairs that fit.
+    /// Counts of splats, visible splats, pairs, and pairs that fit.
     pub(crate) fn counts(&self) -> &Buffer {
         &self.counts
     }
 
-    /// Mesh layers that splats are ordered against.
+    /// Number of mesh layers that splats are ordered against.
     pub(crate) fn layers(&self) -> u32 {
         self.layers
     }
 
-    /// What they were made for.
+    /// Purpose that the lists were made for.
     pub(crate) fn purpose(&self) -> Purpose {
         self.purpose
     }
 
-    /// Splats in the fullest of so many tiles in the last frame. Waits.
+    /// Number of splats in the fullest of the first `tiles` tiles in the last frame. Waits.
     pub(crate) fn longest(&self, gpu: &Gpu, tiles: usize) -> Result<usize, GpuError> {
         let ranges: Vec<[u32; 2]> = gpu.read(&self.pairs.ranges, tiles)?;
         Ok(ranges.iter().map(|[first, end]| end.saturating_sub(*first) as usize).max().unwrap_or(0))
     }
 
-    /// Visible splats and pairs of the last frame; more pairs than the capacity mean that the frame is incomplete.
+    /// Numbers of visible splats and of pairs in the last frame; more pairs than the capacity mean that the frame is
+    /// incomplete.
     pub(crate) fn read_counts(&self, gpu: &Gpu) -> Result<(usize, usize), GpuError> {
         let counts: Vec<u32> = gpu.read(&self.counts, 4)?;
         Ok((counts[COUNT_VISIBLE as usize] as usize, counts[COUNT_PAIRS as usize] as usize))

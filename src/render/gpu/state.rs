@@ -1,4 +1,4 @@
-//! Splats while they are trained, as flat arrays.
+//! State of splats during training, as flat arrays.
 
 use std::ops::Range;
 
@@ -77,7 +77,7 @@ impl SplatState {
         )
     }
 
-    /// Parameters, first and second moments, of geometry and SH each.
+    /// Parameters, first and second moments, each for geometry and SH.
     pub(crate) fn arrays(&self) -> [&[f32]; 6] {
         [&self.geometry, &self.sh, &self.geometry_m, &self.geometry_v, &self.sh_m, &self.sh_v]
     }
@@ -100,7 +100,7 @@ impl SplatState {
         3 * sh::coefficients(self.sh_degree)
     }
 
-    /// The first value that is not finite: its group of parameters and its splat.
+    /// Group and splat of the first value that is not finite.
     #[must_use]
     pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         let arrays = [
@@ -121,7 +121,7 @@ impl SplatState {
     }
 }
 
-/// The first float of a geometry that is not finite: its group of parameters and its splat.
+/// Parameter group and splat of the first geometry float that is not finite.
 pub(crate) fn geometry_not_finite(geometry: &[f32]) -> Option<(&'static str, usize)> {
     let at = geometry.iter().position(|v| !v.is_finite())?;
     let group = match at % GEOMETRY_FLOATS {
@@ -139,7 +139,7 @@ fn smoothed(row: &[f32]) -> (Vec3, f32) {
     smoothed_parameters(Vec3::from_slice(&row[LOG_SCALE]), row[OPACITY], row[SMOOTHING])
 }
 
-/// As the GPU has it, in f32; elsewhere that of [`crate::scene`].
+/// Sigmoid in f32, as the GPU computes it; elsewhere that of [`crate::scene`] is used.
 #[must_use]
 pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())

@@ -1,5 +1,5 @@
-//! What a training step finds out about itself on the GPU, for a step that learns nothing from an incomplete image and for
-//! a host that looks only now and then (`shaders/check_lists.wgsl`, `shaders/shared/status.wgsl`).
+//! Status of training steps, determined on the GPU: lets a step learn nothing from an incomplete image, although the
+//! host looks only now and then (`shaders/check_lists.wgsl`, `shaders/shared/status.wgsl`).
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
@@ -10,7 +10,7 @@ use super::{
 
 /// Words of the buffer.
 const WORDS: usize = 5;
-/// What may cease to be finite: by the names of their bits in shaders, from the lowest on, and in words.
+/// Groups that may become non-finite: names of their bits in shaders, from the lowest on, and descriptions.
 const NOT_FINITE: [(&str, &str); 7] = [
     ("NOT_FINITE_GEOMETRY", "splat geometry"),
     ("NOT_FINITE_SH", "SH coefficients"),
@@ -21,34 +21,35 @@ const NOT_FINITE: [(&str, &str); 7] = [
     ("NOT_FINITE_POSES", "poses of photographs"),
 ];
 
-/// Adds these bits.
+/// Adds the bits of [`NOT_FINITE`].
 pub(super) fn with_not_finite(defines: Defines) -> Defines {
     NOT_FINITE.iter().enumerate().fold(defines, |defines, (bit, (name, _))| defines.with(name, 1 << bit))
 }
 
-/// A zeroed buffer for it.
+/// A zeroed status buffer.
 pub(crate) fn status_buffer(gpu: &Gpu) -> Result<Buffer, GpuError> {
     gpu.storage("step status", WORDS)
 }
 
-/// The steps so far.
+/// Status of the steps so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Status {
-    /// Steps that changed nothing because a list was too short for their view or for one before them, since [`Self::forget_skipped`].
+    /// Steps since [`Self::forget_skipped`] that changed nothing, because a list was too short for their view or for
+    /// one before them.
     pub(crate) skipped: u32,
-    /// What has become NaN or infinite, if anything, parameters or second moments.
+    /// Group of parameters or second moments that has become NaN or infinite, if any.
     pub(crate) not_finite: Option<&'static str>,
-    /// Longest lists of (tile, splat) and (bin, triangle) pairs of any step.
+    /// Longest lists of (tile, splat) and (bin, triangle) pairs that any step needed.
     pub(crate) pairs: [usize; 2],
 }
 
 impl Status {
-    /// Lets steps change things again, as lists are longer now.
+    /// Re-enables steps after lists have been enlarged.
     pub(crate) fn forget_skipped(gpu: &Gpu, buffer: &Buffer) {
         gpu.write(buffer, 0, &[0_u32; 2]);
     }
 
-    /// Reads it. Waits.
+    /// Reads the status. Waits.
     ///
     /// # Errors
     /// If the driver failed.
@@ -57,12 +58,12 @@ impl Status {
         Ok(Self::of(&gpu.read::<u32>(buffer, count)?))
     }
 
-    /// The words of it that are to be read.
+    /// The part of the buffer to read, for [`Self::of`].
     pub(crate) fn words(buffer: &Buffer) -> (&Buffer, usize) {
         (buffer, WORDS)
     }
 
-    /// What [`Self::words`] say.
+    /// Status from its words.
     pub(crate) fn of(words: &[u32]) -> Self {
         let not_finite = NOT_FINITE.iter().enumerate().find(|(bit, _)| words[4] >> bit & 1 != 0);
         Self {
@@ -73,11 +74,11 @@ impl Status {
     }
 }
 
-/// The stage that finds out whether lists were too short.
+/// Stage that checks whether lists were too short.
 pub(crate) struct ListCheck(Stage);
 
 impl ListCheck {
-    /// For these lists, and `MeshStage::pairs`; to be made anew when they are.
+    /// Check of these lists, and `MeshStage::pairs`; to be made anew whenever they are.
     pub(crate) fn new(
         gpu: &Gpu,
         view: &Buffer,
@@ -92,7 +93,7 @@ impl ListCheck {
         Self(Stage::new(gpu, "check_lists.wgsl", "main", &defines, &buffers))
     }
 
-    /// Appends it to a frame, behind the lists.
+    /// Appends the check to a frame, after the lists.
     pub(crate) fn record(&self, frame: &mut Frame) {
         frame.dispatch(&self.0, 1);
     }

@@ -18,10 +18,11 @@ pub(crate) type AtlasGradient = (Vec<f32>, Vec<f32>);
 
 /// Words of [`Texels::peaks`], see there.
 pub(crate) const PEAKS: usize = 4;
-/// Fragments of a thread of `gradient_peak.wgsl`.
+/// Fragments per thread of `gradient_peak.wgsl`.
 pub(crate) const PEAK_FRAGMENTS: usize = 16;
 
-/// Sets word `peak` of [`Texels::peaks`], 0 being that of the maps, with which go the last two; `defines` are those of the mesh stage.
+/// Kernel that sets word `peak` of [`Texels::peaks`]; word 0, for the maps, comes with the last two. `defines` are
+/// those of the mesh stage.
 pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
     let of_maps = u32::from(peak == 0);
     let defines = (defines.clone().with("PEAK", peak).with("MAPS", of_maps)).with("FRAGMENTS", PEAK_FRAGMENTS as u32);
@@ -37,9 +38,9 @@ pub(crate) struct TexelStep {
     pub(crate) base_rate: f32,
     /// Rate of higher bands.
     pub(crate) band_rate: f32,
-    /// Skip floats whose gradient is exactly 0, moments included: what no pixel saw does not drift.
+    /// Skip floats whose gradient is exactly 0, moments included: texels that no pixel saw do not drift.
     pub(crate) visited_only: bool,
-    /// Leave opacity logits and their moments alone, while colours are learnt.
+    /// Freeze opacity logits and their moments, while colours are learnt.
     pub(crate) holds_opacity: bool,
 }
 
@@ -57,7 +58,7 @@ impl TexelStep {
     }
 }
 
-/// Where one texture lies in its buffers.
+/// Layout of one texture in its buffers.
 #[derive(Clone, Copy)]
 struct Map {
     offset: usize,
@@ -75,7 +76,8 @@ impl Map {
         (self.width >> level) as usize * (self.height >> level) as usize * self.channels as usize
     }
 
-    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` has it; `unit` is that of fixed point.
+    /// Level 0 of a gradient pyramid with a quarter of every parent added, as `adam_texels` computes it; `unit` is that
+    /// of the fixed point.
     #[cfg(test)]
     fn pulled(&self, all: &[i32], unit: f32) -> Vec<f32> {
         let channels = self.channels as usize;
@@ -103,12 +105,12 @@ impl Map {
     }
 }
 
-/// The buffers of one kind of map: base or bands.
+/// Buffers of one kind of map: base or bands.
 struct Pool {
     texels: Buffer,
     /// One per mesh; None where a mesh has no bands.
     maps: Vec<Option<Map>>,
-    /// Level, `build_mips` for it and its threads: every map's levels but level 0, fine to coarse.
+    /// Level, `build_mips` stage and threads, for every level of every map except level 0, fine to coarse.
     mips: Vec<(u32, Stage, usize)>,
     training: Option<Training>,
 }
@@ -116,7 +118,7 @@ struct Pool {
 struct Training {
     gradients: Buffer,
     moments: Buffer,
-    /// `adam_texels` and its threads: every map.
+    /// `adam_texels` stage and threads for every map.
     adam: Vec<(Stage, usize)>,
 }
 
@@ -187,14 +189,14 @@ impl Pool {
         for map in self.maps.iter().flatten() {
             let uniform = uniform(gpu, map, 0)?;
             let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status, peaks];
-            // A thread moves the floats that one of level 1 is the mean of.
+            // A thread updates the floats whose mean is one float of level 1.
             let threads = map.floats(1.min(map.levels - 1));
             training.adam.push((kernels.adam.bind(gpu, &buffers), threads));
         }
         Ok(())
     }
 
-    /// Floats of the whole pyramids.
+    /// Total floats of all pyramids.
     fn floats(&self) -> usize {
         self.maps.iter().flatten().map(|m| (0..m.levels).map(|l| m.floats(l)).sum::<usize>()).sum()
     }
@@ -206,7 +208,7 @@ impl Pool {
         Ok(self.maps.iter().map(level_0).collect())
     }
 
-    /// Of every map, with what coarser levels hand down.
+    /// Gradients of every map, including those of coarser levels.
     #[cfg(test)]
     fn read_gradients(&self, gpu: &Gpu, unit: f32) -> Result<Vec<Vec<f32>>, GpuError> {
         let Some(training) = &self.training else { return Ok(vec![]) };
@@ -214,13 +216,13 @@ impl Pool {
         Ok(self.maps.iter().map(|map| map.map_or(vec![], |m| m.pulled(&all, unit))).collect())
     }
 
-    /// Floats of the level-0 maps: pairs of moments.
+    /// Number of pairs of moments: floats of all level-0 maps.
     fn moments(&self) -> usize {
         self.maps.iter().flatten().map(|m| m.floats(0)).sum()
     }
 }
 
-/// Maps of all meshes.
+/// Maps of all meshes on the adapter.
 pub(crate) struct Texels {
     base: Pool,
     bands: Pool,
@@ -265,14 +267,15 @@ impl Texels {
                 map.map_or([0, 1, 1, 1], |m| [(m.offset / unit) as u32, m.levels, m.width, m.height])
             };
             words.extend(pyramid(base, 4));
-            // Bands are addressed in floats from their own offset, texels from 0: a texel is no power of two long.
+            // Bands are addressed in floats from their own offset, texels from 0, since a texel's length is no power of
+            // two.
             words.extend(pyramid(&bands.map(|m| Map { offset: 0, ..m }), 1));
             words.extend([bands.map_or(0, |m| m.offset as u32), degree, 0, 0]);
         }
         words
     }
 
-    /// SH coefficients above the zeroth of the mesh that has most.
+    /// Largest number of SH coefficients above the zeroth of any mesh.
     pub(crate) fn band_coefficients(&self) -> u32 {
         self.degrees.iter().map(|&d| sh::coefficients(d) as u32 - 1).max().unwrap_or(0)
     }
@@ -292,7 +295,7 @@ impl Texels {
         &self.bands.texels
     }
 
-    /// What sums in fixed point are scaled by, see `shaders/shared/fixed_point.wgsl`.
+    /// Scales of sums in fixed point, see `shaders/shared/fixed_point.wgsl`.
     pub(crate) fn peaks(&self) -> &Buffer {
         &self.peaks
     }
@@ -306,7 +309,7 @@ impl Texels {
         [&self.base, &self.bands].into_iter().filter_map(|p| p.training.as_ref())
     }
 
-    /// Rebuilds the levels from `first` (at least 1) on, each from the one before.
+    /// Appends the rebuilding of all levels from `first` (at least 1) on, each from the one before.
     fn record_mips(&self, frame: &mut Frame, first: u32) {
         let mips = self.base.mips.iter().chain(&self.bands.mips);
         for (_, stage, threads) in mips.filter(|(level, ..)| *level >= first) {
@@ -314,7 +317,7 @@ impl Texels {
         }
     }
 
-    /// Sets the gradients of all levels and the peaks to zero.
+    /// Appends the zeroing of the gradients of all levels and of the peaks.
     pub(crate) fn record_zero_gradients(&self, frame: &mut Frame) {
         frame.clear(&self.peaks);
         for training in self.training() {
@@ -327,7 +330,8 @@ impl Texels {
         gpu.write(&self.step, 0, &step.words());
     }
 
-    /// One step of Adam on level 0, by the gradients of all levels, and level 1, then the other mips, which therefore always match it.
+    /// Appends a step of Adam on level 0, by the gradients of all levels, which also writes level 1, and the rebuilding
+    /// of the other mips, so that they always match.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
         for (stage, threads) in self.training().flat_map(|t| &t.adam) {
             frame.dispatch_threads(stage, *threads);
@@ -335,7 +339,7 @@ impl Texels {
         self.record_mips(frame, 2);
     }
 
-    /// The maps as they are now, one atlas per mesh.
+    /// Reads the maps, one atlas per mesh. Waits.
     ///
     /// # Errors
     /// If the driver failed or a texel is not finite.
@@ -351,7 +355,7 @@ impl Texels {
         atlases.map_err(|e| GpuError::Failed { adapter: gpu.adapter().to_owned(), reason: format!("mesh {e}") })
     }
 
-    /// Gradients by the parameters, coarse levels included, per mesh; empty where there are none.
+    /// Gradients by the parameters, coarse levels included, per mesh; empty if not trainable.
     ///
     /// # Errors
     /// If the driver failed.

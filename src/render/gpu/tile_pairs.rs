@@ -1,4 +1,4 @@
-//! (tile, splat) pairs: which splats every tile of a view sees, by depth.
+//! (tile, splat) pairs: for every tile of a view, its splats by depth.
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
@@ -6,36 +6,36 @@ use super::{
     sort::{self, Sort},
 };
 
-/// Words of the buffer of counts: splats, those in view, pairs, pairs that fit.
+/// Words of the buffer of counts: splats, visible splats, pairs, pairs that fit.
 pub(super) const COUNT_SPLATS: u32 = 0;
 pub(super) const COUNT_VISIBLE: u32 = 1;
 pub(super) const COUNT_PAIRS: u32 = 2;
 pub(super) const COUNT_STORED_PAIRS: u32 = 3;
 
-/// Splats or pairs that a workgroup of these stages takes.
+/// Splats or pairs per workgroup of these stages.
 pub(super) const PER_GROUP: usize = 256;
 
-/// What pairs are made of.
+/// Inputs from which pairs are made.
 pub(super) struct InView<'a> {
     /// The view's uniform.
     pub(super) view: &'a Buffer,
     /// `[4]`, see [`COUNT_SPLATS`].
     pub(super) counts: &'a Buffer,
-    /// Splats in view, by depth.
+    /// Visible splats, by depth.
     pub(super) splats: &'a Buffer,
-    /// `[splat]`: tiles that it touches.
+    /// Number of tiles touched, `[splat]`.
     pub(super) tile_count: &'a Buffer,
-    /// As `SplatLists::projected`.
+    /// Laid out as `SplatLists::projected`.
     pub(super) projected: &'a Buffer,
 }
 
 /// Pairs of tiles and splats, sorted by tile and depth.
 pub(crate) struct TilePairs {
-    /// `[tiles]` vec2u: a tile's first pair, and the one after its last.
+    /// Range of each tile, `[tiles]` vec2u: its first pair, and the one after its last.
     pub(crate) ranges: Buffer,
-    /// `[pair]` vec2u, splat and number; empty but in training.
+    /// Splat and number of each pair, `[pair]` vec2u; empty except in training.
     pub(super) numbered: Buffer,
-    /// The first number of each splat in view, by depth.
+    /// First number of each visible splat, by depth.
     pub(super) offsets: Buffer,
     capacity: usize,
     sizes: DispatchSizes,
@@ -47,7 +47,8 @@ pub(crate) struct TilePairs {
 }
 
 impl TilePairs {
-    /// Room for `capacity` pairs of up to so many tiles and splats. With `numbers` pairs have numbers, those of a splat one after the other.
+    /// Room for `capacity` pairs of up to this many tiles and splats. With `numbers`, pairs are numbered, those of a
+    /// splat consecutively.
     ///
     /// # Errors
     /// If the adapter cannot hold them.
@@ -61,7 +62,7 @@ impl TilePairs {
         let &InView { view, counts, splats: by_depth, tile_count, projected } = in_view;
         let sorted_count = gpu.storage("sorted tile counts", splats)?;
         let offsets = gpu.storage("pair offsets", splats)?;
-        // And one that holds the number of pairs.
+        // One more range, which holds the number of pairs.
         let ranges = gpu.storage("tile ranges", (tiles + 1) * 2)?;
         let bits = usize::BITS - tiles.leading_zeros(); // one key more than tiles
         let sort = Sort::new(gpu, capacity, bits, counts, COUNT_STORED_PAIRS)?;
@@ -96,8 +97,8 @@ impl TilePairs {
         })
     }
 
-    /// Appends them to a frame that has begun by clearing [`Self::ranges`], behind what they are made of. `visible` are sizes of the splats
-    /// in view, for workgroups of [`PER_GROUP`] and of [`Scan::block`].
+    /// Appends the making of pairs to a frame that has cleared [`Self::ranges`] and made the inputs. `visible` are
+    /// sizes for the visible splats, including workgroups of [`PER_GROUP`] and of [`Scan::block`].
     pub(super) fn record(&self, frame: &mut Frame, visible: &DispatchSizes) {
         visible.dispatch(frame, &self.gather, PER_GROUP);
         self.place.record(frame, Items::Counted(visible));
@@ -112,7 +113,7 @@ impl TilePairs {
         self.sort.values_out()
     }
 
-    /// Pairs that fit.
+    /// Capacity for pairs.
     pub(crate) fn capacity(&self) -> usize {
         self.capacity
     }

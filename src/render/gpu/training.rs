@@ -1,4 +1,4 @@
-//! A scene on the GPU while it is optimised: parameters, gradients, Adam, and one step of it.
+//! A scene on the GPU during training: parameters, gradients, Adam, and one step of it.
 
 use super::{
     adam::{AdamStep, SplatAdam, SplatFloats},
@@ -26,7 +26,7 @@ use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 
 #[cfg(test)]
 impl SplatState {
-    /// As [`Training::rearrange`], here.
+    /// [`Training::rearrange`] on the host.
     pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source]) -> Self {
         let of_geometry = |before: &[f32]| Source::gather(sources, before, GEOMETRY, Rows::GeometryMoments);
         let of_sh = |before: &[f32], what| Source::gather(sources, before, self.sh_floats(), what);
@@ -42,14 +42,15 @@ impl SplatState {
     }
 }
 
-/// What one step trains on, and how.
+/// Inputs and options of one training step.
 pub(crate) struct Step<'a> {
     pub(crate) camera: &'a Camera,
-    /// RGBA8, `[h·w·4]`.
+    /// Photograph, RGBA8, `[h·w·4]`.
     pub(crate) truth: &'a [u8],
-    /// Number under which [`Training::keep_photographs`] keeps it; under one number and size it is always the same.
+    /// Number under which [`Training::keep_photographs`] keeps the photograph; one number and size must always mean the
+    /// same photograph.
     pub(crate) kept_as: Option<usize>,
-    /// What its alpha means.
+    /// Meaning of the photograph's alpha.
     pub(crate) truth_alpha: TruthAlpha,
     pub(crate) background: [f32; 3],
     pub(crate) sh_degree: u32,
@@ -57,19 +58,19 @@ pub(crate) struct Step<'a> {
     pub(crate) dropout: Dropout,
     /// As [`View::disparity_weight`].
     pub(crate) disparity_weight: f32,
-    /// Rates of the splats; without, they are neither rendered nor changed.
+    /// Adam step of the splats; without it they are neither rendered nor changed.
     pub(crate) splats: Option<AdamStep>,
-    /// Rates of the maps; without, they are rendered but not changed.
+    /// Adam step of the maps; without it they are rendered but not changed.
     pub(crate) texels: Option<TexelStep>,
-    /// How free vertices move; without, they do not.
+    /// Step of free vertices; without it they do not move.
     pub(crate) vertices: Option<VertexStep>,
-    /// Whose exposure counts, with [`Training::expose`].
+    /// Exposure step; the view's exposure applies with [`Training::expose`].
     pub(crate) exposure: Option<ExposureStep>,
-    /// Whose pose counts, with [`Training::refine_poses`].
+    /// Pose step; the view's correction applies with [`Training::refine_poses`].
     pub(crate) pose: Option<PoseStep>,
 }
 
-/// What of a scene is rendered.
+/// Parts of a scene to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Show {
     All,
@@ -87,11 +88,11 @@ impl Show {
     }
 }
 
-/// What the host learns of the steps so far.
+/// Status and loss, as read back by the host.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Look {
     pub(crate) status: Status,
-    /// Of the last one.
+    /// Loss of the last step.
     pub(crate) loss: LossValues,
 }
 
@@ -101,14 +102,14 @@ pub(crate) struct Training<'g> {
     pub(super) pipeline: Pipeline,
     backward: Backward,
     photographs: UploadedPhotographs,
-    /// Of the largest pictures, (width, height), each once.
+    /// Distinct sizes (width, height) of the pictures at full resolution.
     sizes: Vec<(usize, usize)>,
     ssim_weight: f32,
     list_check: ListCheck,
     loss: Loss,
     adam: SplatAdam,
     moments: [Buffer; 4],
-    /// Splats that `moments` have room for.
+    /// Capacity of `moments`, splats.
     moments_of: usize,
     rows: RowGather,
     smoothing: Option<Smoothing>,
@@ -118,7 +119,7 @@ pub(crate) struct Training<'g> {
 }
 
 impl<'g> Training<'g> {
-    /// Splats there are.
+    /// Number of splats.
     pub(crate) fn n_splats(&self) -> usize {
         self.pipeline.front.n_splats
     }
@@ -128,12 +129,12 @@ impl<'g> Training<'g> {
         self.pipeline.front.list_lengths()
     }
 
-    /// `Front::list_lengths` of a run on another adapter, as far as this one binds such.
+    /// `Front::list_lengths` of a run on another adapter, limited to what this one binds.
     pub(crate) fn bindable(&self, lengths: [usize; 2]) -> [usize; 2] {
         lengths.map(|length| length.min(longest_list(self.gpu)))
     }
 
-    /// For a scene seen by `cameras`.
+    /// Training of a scene seen by `cameras`.
     pub(crate) fn new(
         gpu: &'g Gpu,
         scene: &HybridScene,
@@ -175,8 +176,9 @@ impl<'g> Training<'g> {
         })
     }
 
-    /// Renders the view, differentiates the loss and moves the parameters, unless lists were too short for the view:
-    /// then nothing changes, by this step and those after it, until [`Self::grow_if_short`] is called. Does not wait.
+    /// Takes a training step: renders the view, differentiates the loss and updates the parameters. If lists were too
+    /// short for the view, this step and those after it change nothing until [`Self::grow_if_short`] is called. Does
+    /// not wait.
     pub(crate) fn step(&mut self, step: &Step) -> Result<(), GpuError> {
         self.pipeline.front.composition.background = step.background;
         let mut view = self.prepare(step.camera)?;
@@ -226,13 +228,14 @@ impl<'g> Training<'g> {
         Ok(())
     }
 
-    /// From now on the adapter keeps photographs that have a number, up to so many bytes, unless its memory is the host's.
+    /// Keeps photographs that have a number on the adapter from now on, up to this many bytes, unless its memory is the
+    /// host's.
     pub(crate) fn keep_photographs(&mut self, bytes: u64) {
         self.photographs.keep(if self.gpu.shares_host_memory() { 0 } else { bytes });
     }
 
-    /// From now on photographs have exposures, which follow `Step::exposure`; or have others, of as many views. Every step
-    /// names its view then.
+    /// Enables exposures of photographs, optimised by `Step::exposure`, or replaces them by others of as many views.
+    /// Every step must then name its view.
     pub(crate) fn expose(&mut self, state: &ExposureState) -> Result<(), GpuError> {
         if let Some(exposures) = &mut self.exposures {
             exposures.write(self.gpu, state);
@@ -242,13 +245,13 @@ impl<'g> Training<'g> {
         self.bind_loss()
     }
 
-    /// The exposures as they are now, if there are any. Waits.
+    /// Reads the exposures, if there are any. Waits.
     pub(crate) fn read_exposures(&self) -> Result<Option<ExposureState>, GpuError> {
         self.exposures.as_ref().map(|exposures| exposures.read(self.gpu)).transpose()
     }
 
-    /// From now on the cameras of steps are corrected, and corrections follow `Step::pose`; or are others, of as many views. Every
-    /// step names its view then. Meshes do not pull at poses.
+    /// Enables corrections of the steps' cameras, optimised by `Step::pose`, or replaces them by others of as many
+    /// views. Every step must then name its view. Meshes do not contribute to pose gradients.
     pub(crate) fn refine_poses(&mut self, state: &PoseState) -> Result<(), GpuError> {
         if let Some(poses) = &mut self.poses {
             poses.write(self.gpu, state);
@@ -261,37 +264,38 @@ impl<'g> Training<'g> {
         Ok(())
     }
 
-    /// The corrections as they are now, if there are any. Waits.
+    /// Reads the corrections, if there are any. Waits.
     pub(crate) fn read_poses(&self) -> Result<Option<PoseState>, GpuError> {
         self.poses.as_ref().map(|poses| poses.read(self.gpu)).transpose()
     }
 
-    /// From now on [`Self::smooth`] smooths splats as far as these views, the training views, cannot tell.
+    /// Sets the training views for [`Self::smooth`], which smooths splats as far as these cannot tell.
     pub(crate) fn smooth_for(&mut self, cameras: &[Camera]) -> Result<(), GpuError> {
         self.smoothing = Some(Smoothing::new(self.gpu, cameras, self.pipeline.front.composition.near)?);
         Ok(())
     }
 
-    /// Measures how far the splats are smoothed, by where they are now; nothing without [`Self::smooth_for`]. Does not wait.
+    /// Measures how far the splats are to be smoothed at their present positions; does nothing without
+    /// [`Self::smooth_for`]. Does not wait.
     pub(crate) fn smooth(&self) {
         if let Some(smoothing) = &self.smoothing {
             smoothing.run(self.gpu, &self.pipeline.front.splats.geometry, self.pipeline.front.n_splats);
         }
     }
 
-    /// From now on the statistics of density control hold absolute gradients as well.
+    /// Adds absolute gradients to the statistics of density control.
     pub(crate) fn sum_absolute_gradients(&mut self) -> Result<(), GpuError> {
         self.backward.sum_absolute_gradients(self.gpu, &self.pipeline)
     }
 
-    /// From now on the vertices of `meshes`, those of the scene, follow `Step::vertices`.
+    /// Lets the vertices of `meshes`, those of the scene, move by `Step::vertices`.
     pub(crate) fn free_vertices(&mut self, meshes: &[Mesh], state: &VertexState) -> Result<(), GpuError> {
         let Front { mesh, view, .. } = &mut self.pipeline.front;
         let status = &self.backward.status;
         mesh.as_mut().map_or(Ok(()), |mesh| mesh.free_vertices(self.gpu, meshes, view, status, state))
     }
 
-    /// The meshes as they are now: moved vertices, trained maps. `meshes` are those of the scene. Waits.
+    /// Reads the meshes: moved vertices, trained maps. `meshes` are those of the scene. Waits.
     pub(crate) fn read_meshes(&self, meshes: &[Mesh]) -> Result<Vec<Mesh>, GpuError> {
         let Some(stage) = &self.pipeline.front.mesh else { return Ok(vec![]) };
         let count = meshes.iter().map(|m| m.positions().len()).sum();
@@ -304,13 +308,13 @@ impl<'g> Training<'g> {
         meshes.iter().zip(stage.read_atlases(self.gpu)?).map(moved).collect()
     }
 
-    /// Normals and moments of free vertices; empty if none are. Waits.
+    /// Reads normals and moments of free vertices; empty if none are free. Waits.
     pub(crate) fn read_vertex_state(&self) -> Result<VertexState, GpuError> {
         let vertices = self.pipeline.front.mesh.as_ref().and_then(|m| m.vertices());
         vertices.map_or(Ok(VertexState::default()), |v| v.read_state(self.gpu))
     }
 
-    /// Renders a view with what is trained so far. Waits.
+    /// Renders a view of the present state. Waits.
     pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], show: Show) -> Result<Picture, GpuError> {
         self.pipeline.front.composition.background = background;
         loop {
@@ -337,7 +341,7 @@ impl<'g> Training<'g> {
             let view = show.of(self.prepare(camera)?);
             self.gpu.write(&self.backward.image_gradient, 0, &padded);
             let mut frame = Frame::new(self.gpu);
-            // Splats out of view would keep what another view has found of them.
+            // Splats out of view would otherwise keep sums of another view.
             frame.clear(self.backward.moments().0);
             self.pipeline.record(self.gpu, &mut frame, &view);
             self.backward.record_blend(&mut frame, &view);
@@ -362,8 +366,8 @@ impl<'g> Training<'g> {
         }
     }
 
-    /// Index + 1 of the nearest triangle at each pixel of the view that was rendered last, `[h·w]`; 0 where there is none,
-    /// empty without meshes. Waits.
+    /// Index + 1 of the nearest triangle at each pixel of the last rendered view, `[h·w]`; 0 where there is none; empty
+    /// without meshes. Waits.
     pub(crate) fn front_triangles(&self, camera: &Camera) -> Result<Vec<u32>, GpuError> {
         let pixels = camera.intrinsics().pixels();
         self.pipeline.front.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_front_triangles(self.gpu, pixels))
@@ -375,13 +379,13 @@ impl<'g> Training<'g> {
         self.loss.read(self.gpu)
     }
 
-    /// What the steps so far found out about themselves. Waits for the last one.
+    /// Reads the status of the steps so far. Waits for the last one.
     pub(crate) fn status(&self) -> Result<Status, GpuError> {
         Status::read(self.gpu, &self.backward.status)
     }
 
-    /// Waits for the last step and enlarges lists that were too short for any so far: if [`Status::skipped`] is not 0, so many of the last steps
-    /// changed nothing for that and are to be taken again, in the same order.
+    /// Waits for the last step and enlarges lists that were too short for any so far. If [`Status::skipped`] is not 0,
+    /// that many of the last steps changed nothing and are to be repeated, in the same order.
     pub(crate) fn look(&mut self) -> Result<Look, GpuError> {
         let (status, loss) = (Status::words(&self.backward.status), self.loss.means());
         let (words, means) = self.gpu.read_both::<u32, [f32; 2]>(status, loss)?;
@@ -397,12 +401,12 @@ impl<'g> Training<'g> {
         Ok(look)
     }
 
-    /// As [`Self::look`], for the steps to be taken again.
+    /// As [`Self::look`], returning only the number of steps to repeat.
     pub(crate) fn grow_if_short(&mut self) -> Result<u32, GpuError> {
         Ok(self.look()?.status.skipped)
     }
 
-    /// As [`Pipeline::prepare`], everything bound to what the pipeline has then.
+    /// As [`Pipeline::prepare`], rebinding everything to the pipeline's present buffers.
     fn prepare(&mut self, camera: &Camera) -> Result<View, GpuError> {
         let (view, renewed) = self.pipeline.prepare(self.gpu, camera)?;
         if renewed {
@@ -418,8 +422,8 @@ impl<'g> Training<'g> {
         self.lengthen_lists(longer)
     }
 
-    /// Makes the lists at least as long as `Front::list_lengths` of another run said: the old ones go first, so that there is never room for both.
-    /// What they held is lost. True if they had to be made anew.
+    /// Enlarges the lists to at least the given `Front::list_lengths`. The old ones are freed first, so that both need
+    /// not fit; their content is lost. True if any was replaced.
     pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<bool, GpuError> {
         if lengths[0] > self.list_lengths()[0] {
             self.pipeline.empty_lists(self.gpu)?;
@@ -433,7 +437,7 @@ impl<'g> Training<'g> {
         Ok(grew)
     }
 
-    /// Parameters and moments of all splats. Waits.
+    /// Reads parameters and moments of all splats. Waits.
     pub(crate) fn read_splats(&self) -> Result<SplatState, GpuError> {
         let (p, n) = (&self.pipeline.front, self.pipeline.front.n_splats);
         let [gm, gv, sm, sv] = &self.moments;
@@ -450,13 +454,13 @@ impl<'g> Training<'g> {
         })
     }
 
-    /// Geometry of all splats, `[N·12]`. Waits.
+    /// Reads the geometry of all splats, `[N·12]`. Waits.
     pub(crate) fn read_geometry(&self) -> Result<Vec<f32>, GpuError> {
         self.gpu.read(&self.pipeline.front.splats.geometry, self.pipeline.front.n_splats * GEOMETRY)
     }
 
-    /// Replaces the geometry of all splats; everything else of each is what its source had. Statistics are zeroed. Waits only where buffers
-    /// have to grow, or for more geometry than is uploaded at once.
+    /// Replaces the geometry of all splats; each takes everything else from its source. Statistics are zeroed. Waits
+    /// only if buffers have to grow, or for more geometry than is uploaded at once.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -468,7 +472,7 @@ impl<'g> Training<'g> {
             self.enlarge(n)?;
         }
         let (p, [gm, gv, sm, sv]) = (&self.pipeline.front, &self.moments);
-        // The next step writes gradients anew before it reads them.
+        // Gradients serve as scratch space, as the next step writes them before it reads them.
         let gradients = &self.backward.splats;
         let (scratch, sh_scratch) = (&gradients.geometry, &gradients.sh);
         let buffers = [
@@ -487,8 +491,8 @@ impl<'g> Training<'g> {
         Ok(())
     }
 
-    /// Makes room for `n` splats. What every step makes anew is freed first and made again last, so that what is copied between, parameters
-    /// and moments, takes no more at its peak than all of it afterwards. Waits.
+    /// Makes room for `n` splats. Buffers that every step refills are freed first and reallocated last, so that the
+    /// copying of parameters and moments in between peaks no higher than the final allocation. Waits.
     fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
         let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.front.splats.sh_degree, self.pipeline.front.n_splats);
         let [pairs, _] = self.list_lengths();
@@ -513,7 +517,7 @@ impl<'g> Training<'g> {
         Ok(())
     }
 
-    /// Puts moments of as many splats as the pipeline has room for in place of those before.
+    /// Replaces the moments by ones of the pipeline's present capacity, returning the old ones.
     fn replace_moments(&mut self, moments: [Buffer; 4]) -> [Buffer; 4] {
         self.moments_of = self.pipeline.front.splats.capacity;
         std::mem::replace(&mut self.moments, moments)
@@ -524,7 +528,7 @@ impl<'g> Training<'g> {
         let n = state.len();
         if n > self.pipeline.front.splats.capacity {
             let sh_degree = self.pipeline.front.splats.sh_degree;
-            // All that matters is on the host: the old buffers go first, so that there is never room for both.
+            // All data is on the host: the old buffers are freed first, so that both need not fit.
             let [pairs, _] = self.list_lengths();
             self.pipeline.front.n_splats = 0;
             for (capacity, pairs) in [(0, 0), (with_headroom(self.gpu, n, sh_degree), pairs)] {
@@ -545,7 +549,7 @@ impl<'g> Training<'g> {
         Ok(())
     }
 
-    /// Density statistics, `[N·4]`, see `splat_backward.wgsl`. Waits.
+    /// Reads the density statistics, `[N·4]`, see `splat_backward.wgsl`. Waits.
     pub(crate) fn read_statistics(&self) -> Result<Vec<f32>, GpuError> {
         self.gpu.read(&self.backward.splats.statistics, self.pipeline.front.n_splats * 4)
     }
@@ -568,7 +572,7 @@ impl<'g> Training<'g> {
         }
     }
 
-    /// From now on every step is timed, where the adapter can.
+    /// Times every step from now on, if the adapter can.
     pub(crate) fn profile(&mut self) {
         self.timer = Timer::new(self.gpu);
     }
@@ -578,7 +582,7 @@ impl<'g> Training<'g> {
         self.timer.as_ref().map_or(Ok(vec![]), |t| t.seconds(self.gpu))
     }
 
-    /// Binds what reads the pipeline's buffers to their replacements; moments of another capacity start at zero.
+    /// Rebinds all users of the pipeline's buffers to their replacements; moments of another capacity start at zero.
     fn rebind(&mut self) -> Result<(), GpuError> {
         self.backward.renew(self.gpu, &self.pipeline)?;
         self.list_check = new_list_check(self.gpu, &self.pipeline, &self.backward.status);

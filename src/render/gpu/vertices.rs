@@ -1,8 +1,8 @@
-//! Vertices of the meshes that move along their normals while a scene is optimised.
+//! Movement of mesh vertices along their normals during optimisation.
 //!
-//! A fused surface is off by a pixel or so, and maps on it blur by as much. Backward: `uv_backward` (in place of the
-//! layers' gradient) → `gradient_peak` → `vertex_backward`; then `move_vertices`: Adam, its step smoothed over the surface. 48 bytes per
-//! vertex and some 28 for its neighbours, 48 per triangle.
+//! A fused surface is off by a pixel or so, and maps on it blur by as much. Backward: `uv_backward` (overwrites the
+//! layers' gradient) → `gradient_peak` → `vertex_backward`; then `move_vertices`: Adam, with its step smoothed over the
+//! surface. 48 bytes per vertex and some 28 for its neighbours, 48 per triangle.
 
 use glam::Vec3;
 
@@ -25,24 +25,24 @@ const DIFFUSIONS: usize = 8;
 pub(crate) struct VertexStep {
     /// Number of this step, from 1.
     pub(crate) number: u32,
-    /// Pixels that a vertex moves at most, or so.
+    /// Approximate largest movement of a vertex, pixels.
     pub(crate) rate: f32,
 }
 
-/// What of the vertices a checkpoint holds besides their positions. Everything of it was settled when they were freed: a
-/// run that goes on must not measure surfaces that have moved since.
+/// State of the vertices in a checkpoint besides their positions. Fixed when the vertices were freed: a resumed run
+/// must not measure surfaces that have moved since.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct VertexState {
-    /// Size of a pixel on the meshes, world units: a step is given in pixels.
+    /// Size of a pixel on the meshes, world units, as steps are given in pixels.
     pub(crate) pixel: f32,
-    /// Directions in which they move, `[V·3]`.
+    /// Directions of movement, `[V·3]`.
     pub(crate) normals: Vec<f32>,
     /// Adam's first and second moments, `[V·2]`.
     pub(crate) moments: Vec<f32>,
 }
 
 impl VertexState {
-    /// Moments of zero; normals of the meshes as they are.
+    /// State with the meshes' normals and moments of zero.
     pub(crate) fn new(meshes: &[Mesh], pixel: f32) -> Self {
         let normals: Vec<Vec3> =
             meshes.iter().flat_map(|m| geometry::vertex_normals(m.positions(), m.triangles())).collect();
@@ -50,7 +50,7 @@ impl VertexState {
     }
 }
 
-/// Buffers and kernels.
+/// Buffers and kernels of moving vertices.
 pub(crate) struct Vertices {
     count: usize,
     pixel: f32,
@@ -59,14 +59,15 @@ pub(crate) struct Vertices {
     normals: Buffer,
     corner_normals: Buffer,
     step: Buffer,
-    /// Of fragments, their peak, sums.
+    /// Kernels for gradients of fragments, their peak, and sums.
     backward: [Kernel; 3],
-    /// Start, even, odd, move.
+    /// Stages start, diffuse even, diffuse odd, displace.
     moving: [Stage; 4],
 }
 
 impl Vertices {
-    /// For the vertices of `meshes`, whose `positions` `[V, 3]` are moved; `defines` are those of the mesh stage.
+    /// Stages for the vertices of `meshes`, whose `positions` `[V, 3]` are moved; `defines` are those of the mesh
+    /// stage.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -111,8 +112,8 @@ impl Vertices {
         Ok(Self { count, pixel: state.pixel, gradient, moments, normals, corner_normals, step, backward, moving })
     }
 
-    /// Binds the backward kernels: `fragment` are the buffers of `shaders/shared/mesh_fragment.wgsl`, `texels` those of the base and, where
-    /// there are any, of the bands.
+    /// Binds the backward kernels: `fragment` are the buffers of `shaders/shared/mesh_fragment.wgsl`, `texels` those of
+    /// the base and, if there are any, of the bands.
     pub(crate) fn bind(
         &self,
         gpu: &Gpu,
@@ -130,7 +131,7 @@ impl Vertices {
         [k0.bind(gpu, &of_fragments), k1.bind(gpu, &peak), k2.bind(gpu, &sums)]
     }
 
-    /// Gradients of all vertices; the layers' gradient is used up.
+    /// Appends the gradients of all vertices; the layers' gradient is overwritten.
     pub(crate) fn record_backward(&self, frame: &mut Frame, stages: &[Stage; 3], fragments: usize) {
         frame.clear(&self.gradient);
         for (stage, per_thread) in stages.iter().zip([1, PEAK_FRAGMENTS, 1]) {
@@ -145,7 +146,7 @@ impl Vertices {
         gpu.write(&self.step, 0, &words);
     }
 
-    /// Moves all vertices by a step.
+    /// Appends a step of all vertices.
     pub(crate) fn record_step(&self, frame: &mut Frame) {
         let [start, even, odd, done] = &self.moving;
         let diffusions = (0..DIFFUSIONS).flat_map(|_| [even, odd]);
@@ -166,7 +167,7 @@ impl Vertices {
         Ok(sums.into_iter().map(|words| unit * sum(words) as f32).collect())
     }
 
-    /// What a checkpoint needs. Waits.
+    /// Reads the state for a checkpoint. Waits.
     ///
     /// # Errors
     /// If the driver failed.

@@ -1,10 +1,10 @@
-//! What a frame is rendered with: the host's side of `shaders/shared/view.wgsl`.
+//! Per-frame uniform: the host's side of `shaders/shared/view.wgsl`.
 
 use glam::Vec3;
 
 use crate::scene::{Camera, Composition, OrderMode, sh};
 
-/// Everything the shaders know of one view.
+/// Everything that shaders know of one view.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct View {
     pub(crate) camera: Camera,
@@ -16,29 +16,31 @@ pub(crate) struct View {
     pub(crate) band_degree: u32,
     pub(crate) n_triangles: u32,
     pub(crate) pair_capacity: u32,
-    /// Splats that are left out.
+    /// Splats that are dropped at random.
     pub(crate) dropout: Dropout,
-    /// In training, what the loss grows by with the mean over pixels of their expected disparity Σw/z, 1/(1/world unit), pixels that differ from
-    /// their photograph counting less (`shaders/shared/loss_terms.wgsl`). The gradients follow it; depths and meshes do not.
+    /// Weight in the loss, in training, of the mean over pixels of expected disparity Σw/z, 1/(1/world unit); pixels
+    /// that differ from their photograph count less (`shaders/shared/loss_terms.wgsl`). Gradients by the splats'
+    /// weights include it; depths and meshes are held fixed.
     pub(crate) disparity_weight: f32,
 }
 
-/// Splats that a step leaves out at random, so that none relies on others that few views see (`DropGaussian`, Park et al. 2025).
+/// Random dropout of splats in a step, so that none relies on others that few views see (`DropGaussian`, Park et al.
+/// 2025).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Dropout {
-    /// Which ones, with their index.
+    /// Seed that, with a splat's index, decides whether it is dropped.
     pub(crate) seed: u32,
-    /// Part of all, below 1. The others are more opaque by 1/(1 − rate).
+    /// Fraction dropped, below 1. The others are more opaque by 1/(1 − rate).
     pub(crate) rate: f32,
 }
 
-/// Number of words of the uniform buffer.
+/// Words of the uniform buffer.
 pub(crate) const VIEW_WORDS: usize = 40;
 
 /// Side of a tile in pixels.
 pub(crate) const TILE: u32 = 16;
 
-/// What every shader has by these names.
+/// Constants that every shader has under these names.
 pub(super) const CONSTANTS: [(&str, u32); 4] = [
     ("TILE", TILE),
     ("MODE_STABLE", mode_word(OrderMode::Stable)),
@@ -55,7 +57,7 @@ const fn mode_word(mode: OrderMode) -> u32 {
 }
 
 impl View {
-    /// A view of splats and meshes, all bands of which are shown, with room for so many (tile, splat) pairs.
+    /// View of splats and meshes with all their bands, with room for this many (tile, splat) pairs.
     pub(crate) fn of_scene(
         camera: &Camera,
         composition: Composition,
@@ -67,7 +69,7 @@ impl View {
         Self { n_splats, sh_degree, band_degree, n_triangles, pair_capacity, ..Self::of(camera, composition) }
     }
 
-    /// A view of nothing yet.
+    /// View without content.
     pub(crate) fn of(camera: &Camera, composition: Composition) -> Self {
         let (n_splats, sh_degree, band_degree, n_triangles, pair_capacity) = (0, 0, 0, 0, 0);
         let dropout = Dropout::default();
@@ -90,13 +92,13 @@ impl View {
         (k.width.div_ceil(TILE), k.height.div_ceil(TILE))
     }
 
-    /// Tiles.
+    /// Number of tiles.
     pub(crate) fn n_tiles(&self) -> usize {
         let (x, y) = self.tiles();
         x as usize * y as usize
     }
 
-    /// Pixels.
+    /// Number of pixels.
     pub(crate) fn pixels(&self) -> usize {
         self.camera.intrinsics().pixels()
     }

@@ -6,7 +6,7 @@ use super::{Image, Parameters, Projected, Source, View, jacobian, mesh, power, r
 use crate::render::contract;
 use crate::scene::{Camera, HybridScene, sh, sigmoid, smoothed};
 
-/// Derivatives with respect to what a splat looks like in the image.
+/// Derivatives with respect to a splat's projected properties.
 #[derive(Clone, Copy)]
 struct ProjectedGradient {
     color: DVec3,
@@ -16,12 +16,12 @@ struct ProjectedGradient {
     weight: f64,
 }
 
-/// What density control reads of a splat in one view. Zeros if it is culled.
+/// Statistics of a splat in one view for density control. Zeros if it is culled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScreenStatistics {
     /// Derivative of the loss with respect to the projected mean, per pixel.
     pub center: DVec2,
-    /// Σ over pixels of the weight with which its colour is blended.
+    /// Sum over pixels of the weight with which its colour is blended.
     pub weight: f64,
 }
 
@@ -44,8 +44,9 @@ pub fn backward(scene: &HybridScene, camera: &Camera, cotangent: &Image) -> Para
     backward_parameters(scene, camera, &Parameters::of(scene), cotangent, None).0
 }
 
-/// [`backward`] of a scene with other parameters of the same shape, and what density control wants to know of every splat. The loss also grows by
-/// `disparity_slopes` with each pixel's [`disparity`] (world units), as far as splats cover each other: depths are held, and meshes are not pulled.
+/// [`backward`] of a scene with other parameters of the same shape, and the statistics of every splat for density
+/// control. The loss also includes `disparity_slopes` times each pixel's [`disparity`] (world units), differentiated by
+/// the splats' weights only: depths are held fixed, and meshes are not affected.
 ///
 /// # Panics
 /// If the shapes differ, or `cotangent` or the slopes are not of the camera's size.
@@ -84,7 +85,7 @@ pub fn backward_parameters(
                 }
                 Source::Layer(i) => {
                     let hit = &view.hits[pixel][i];
-                    // Clamped channels have no derivative, nor has clamped alpha.
+                    // Clamped channels and clamped alpha have no derivative.
                     let d_color = DVec3::select(c.color.cmpgt(DVec3::ZERO), d_color, DVec3::ZERO);
                     let d_logit =
                         if c.alpha < contract::MESH_ALPHA_CAP { d_alpha * c.alpha * (1.0 - c.alpha) } else { 0.0 };
@@ -113,7 +114,7 @@ pub fn backward_parameters(
     (result, statistics)
 }
 
-/// The expected disparity of each pixel `[h·w]`, Σ of weight/z over what it shows, 1/world unit.
+/// Expected disparity of each pixel `[h·w]`, Σ of weight/z over its contributions, 1/world unit.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -125,7 +126,7 @@ pub fn disparity(scene: &HybridScene, camera: &Camera, parameters: &Parameters) 
 }
 
 impl ProjectedGradient {
-    // Not derived: a matrix's default is the identity.
+    // Not derived, as a matrix's default is the identity.
     const ZERO: Self = Self { color: DVec3::ZERO, opacity: 0.0, center: DVec2::ZERO, conic: DMat2::ZERO, weight: 0.0 };
 
     /// Adds one pixel at `offset` from the centre of `splat`.
@@ -167,7 +168,7 @@ impl MapGradients {
     }
 }
 
-/// From what a splat looks like in the image to its parameters.
+/// Gradients of a splat's parameters from those of its projected properties.
 fn splat_backward(
     scene: &HybridScene,
     camera: &Camera,
@@ -177,7 +178,7 @@ fn splat_backward(
     result: &mut Parameters,
 ) {
     let i = splat.index;
-    // All factors of the opacity have a logarithm, of which the opacity itself is the derivative.
+    // In terms of log opacity: each factor of the opacity contributes additively, and d/d(log o) is o times d/do.
     let d_log_opacity = gradient.opacity * splat.opacity;
     result.opacity_logits[i] = d_log_opacity * (1.0 - sigmoid(parameters.opacity_logits[i]));
 
@@ -185,7 +186,7 @@ fn splat_backward(
     let mut d_covariance = -1.0 * splat.conic * gradient.conic * splat.conic;
     let filter = scene.composition.pixel_filter;
     if filter.normalized {
-        // Of √(det Σ2 / det Σ').
+        // Derivative of the factor √(det Σ2 / det Σ').
         let projected = splat.covariance - f64::from(filter.variance) * DMat2::IDENTITY;
         d_covariance += 0.5 * d_log_opacity * (projected.inverse() - splat.conic);
     }
@@ -198,7 +199,8 @@ fn splat_backward(
     let d_n = 2.0 * m.transpose() * d_covariance * m * n;
     let d_jacobian = 2.0 * d_covariance * m * n * n.transpose() * camera.rotation().transpose();
     for j in 0..3 {
-        // Of the splat's own variance in that of the smoothed one; the rest is in the factor Π s/s̃ of the opacity.
+        // Share of the splat's own variance in the smoothed one; the rest acts through the factor Π s/s̃ of the
+        // opacity.
         let own = (parameters.log_scales[i][j].exp() / s[j]).powi(2);
         result.log_scales[i][j] = own * s[j] * d_n.col(j).dot(r.col(j)) + (1.0 - own) * d_log_opacity;
     }
@@ -255,7 +257,7 @@ fn mean_backward(camera: &Camera, t: DVec3, d_jacobian: DMat3, d_center: DVec2) 
     d
 }
 
-/// From the gradient `h` of a rotation matrix to that of its quaternion (w, x, y, z) before normalisation.
+/// Gradient of a quaternion (w, x, y, z) before normalisation from the gradient `h` of its rotation matrix.
 fn rotation_backward(raw: [f64; 4], h: DMat3) -> [f64; 4] {
     let norm = raw.iter().map(|c| c * c).sum::<f64>().sqrt();
     let unit = raw.map(|c| c / norm);
@@ -303,7 +305,7 @@ fn basis_partials(d: DVec3) -> [DVec3; 16] {
     ]
 }
 
-/// a bᵀ
+/// Outer product a bᵀ.
 fn outer(a: DVec2, b: DVec2) -> DMat2 {
     DMat2::from_cols(a * b.x, a * b.y)
 }

@@ -1,4 +1,4 @@
-//! A picture taken apart: what splats and meshes contribute to it, each as the other hides it, and their depths.
+//! A picture in parts: contributions of splats and of meshes, each as occluded by the other, and their depths.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -14,19 +14,19 @@ pub struct Layers {
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// What splats contribute: RGB times weight, and the sum of weights. `[height·width]`
+    /// Contribution of splats: RGB times weight, and the sum of weights. `[height·width]`
     pub splats: Vec<[f64; 4]>,
-    /// The same of mesh fragments.
+    /// Contribution of mesh fragments, likewise.
     pub mesh: Vec<[f64; 4]>,
-    /// What is left of the background.
+    /// Weight of the background.
     pub transmittance: Vec<f64>,
-    /// Camera-space z: mean of what contributes by its weight; 0 where nothing does.
+    /// Expected depth, camera-space z: mean of the contributions' depths by weight; 0 if there is none.
     pub expected_depth: Vec<f64>,
     /// Camera-space z at which the transmittance falls below one half; 0 where it never does.
     pub median_depth: Vec<f64>,
-    /// Splats that contribute.
+    /// Number of splats that contribute.
     pub count: Vec<u32>,
-    /// Unit normal of the nearest mesh fragment, towards the camera, in world space; zeros without one.
+    /// Unit normal of the nearest mesh fragment, facing the camera, in world space; zero without one.
     pub normal: Vec<[f64; 3]>,
 }
 

@@ -1,4 +1,4 @@
-//! How close a pixel is to looking different: the distances of its decisions from their thresholds.
+//! Margins of a pixel: how far its decisions are from their thresholds.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -7,13 +7,13 @@ use super::{Image, Parameters, Projected, Source, View, mesh, pixel_center, powe
 use crate::render::contract::{ALPHA_CUT, TIE_EPSILON, TRANSMITTANCE_STOP, bilinear_taps};
 use crate::scene::{Camera, HybridScene, OrderMode};
 
-/// Weight above which it shows that a splat is dropped.
+/// Weight above which a dropped splat is visible.
 const VISIBLE_WEIGHT: f64 = 1e-3;
 
 /// Smallest distances of decisions made at a pixel from their thresholds, by kind, each relative to the quantity
 /// compared. Infinite where nothing is decided.
 ///
-/// An implementation in lower precision may differ visibly only at *threshold pixels*, where one is small.
+/// An implementation in lower precision may differ visibly only at *threshold pixels*, where one of them is small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margin {
     /// Alpha of splats against the cut.
@@ -29,7 +29,7 @@ pub struct Margin {
 }
 
 impl Margin {
-    /// What is decided: by the cut of alpha, the order of depths, edges of triangles, the stop of transmittance.
+    /// Kinds of decisions: the cut of alpha, the order of depths, edges of triangles, the stop of transmittance.
     pub const KINDS: [&str; 4] = ["alpha", "order", "edge", "stop"];
     const NONE: Self = Self { alpha: f64::INFINITY, order: f64::INFINITY, edge: f64::INFINITY, stop: f64::INFINITY };
 
@@ -51,13 +51,13 @@ impl Margin {
     }
 }
 
-/// Renders, and tells of every pixel how close its decisions were.
+/// Renders an image, with the margins of every pixel.
 #[must_use]
 pub fn render_with_margins(scene: &HybridScene, camera: &Camera) -> (Image, Vec<Margin>) {
     (render(scene, camera), margins(scene, camera, &Parameters::of(scene)))
 }
 
-/// How close the decisions of every pixel are with other parameters of the same shape.
+/// Margins of every pixel with other parameters of the same shape.
 ///
 /// # Panics
 /// If the shapes differ.
@@ -75,7 +75,7 @@ pub fn margins(scene: &HybridScene, camera: &Camera, parameters: &Parameters) ->
     pixels.into_par_iter().map(|pixel| splat_margin(&view, &surfaces, pixel, hits[pixel])).collect()
 }
 
-/// Margins of which triangles a pixel's ray meets, and in which order.
+/// Margins of which triangles a pixel's ray hits, and in which order.
 fn hit_margin(camera: &Camera, triangles: &[[DVec3; 3]], near: f64, pixel: usize) -> Margin {
     let mut margin = Margin::NONE;
     let r = camera.ray(pixel_center(camera, pixel));
@@ -95,7 +95,7 @@ fn hit_margin(camera: &Camera, triangles: &[[DVec3; 3]], near: f64, pixel: usize
     margin
 }
 
-/// Margins of a splat's thresholds among the layers: they hold for all pixels that it shares with a mesh.
+/// Margins of a splat's thresholds among the layers, which apply to all pixels that it shares with a mesh.
 fn surface_margin(scene: &HybridScene, camera: &Camera, view: &View<'_>, hits: &[Margin], splat: &Projected) -> Margin {
     let mut margin = Margin::NONE;
     let (k, composition) = (camera.intrinsics(), &scene.composition);
@@ -142,7 +142,7 @@ fn surface_margin(scene: &HybridScene, camera: &Camera, view: &View<'_>, hits: &
     margin
 }
 
-/// Adds to `margin` those of the splats of a pixel.
+/// `margin` combined with the margins of the splats of a pixel.
 fn splat_margin(view: &View<'_>, surfaces: &[Margin], pixel: usize, mut margin: Margin) -> Margin {
     let position = pixel_center(view.camera, pixel);
     let layers = &view.layers[pixel];

@@ -7,22 +7,22 @@ use crate::geometry::MeshBvh;
 use crate::render::contract::{self, SurfaceDepth};
 use crate::scene::{Camera, HybridScene};
 
-/// How the order of splats and layers by rays differs from the rule's.
+/// Difference of the order of splats and layers by rays to the means from the rule's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MeanRays {
-    /// Splats that the camera has in front.
+    /// Splats in front of the camera.
     pub splats: usize,
-    /// Those with a mean outside the picture, which are behind all layers by the rule.
+    /// Splats with a mean outside the picture, which are behind all layers by the rule.
     pub outside: usize,
-    /// Those that are in another place of the order at a pixel at least.
+    /// Splats whose place in the order differs for at least one pixel.
     pub different: usize,
-    /// Of these, those outside the picture.
+    /// Splats among these with a mean outside the picture.
     pub different_outside: usize,
 }
 
-/// As [`super::render`], but what is in front of a mean is asked by a ray from the camera to it: exact where the depth
-/// image of a layer has only the centres of pixels, and known outside the picture, too. To see what that is worth; the rule of the
-/// composition is the other.
+/// As [`super::render`], but the layers in front of a mean are found by a ray from the camera to it: exact where a
+/// layer's depth image only has the centres of pixels, and defined outside the picture, too. For comparison only; the
+/// composition rule uses depth images.
 #[must_use]
 pub fn render_by_mean_rays(scene: &HybridScene, camera: &Camera) -> (Image, MeanRays) {
     let parameters = Parameters::of(scene);
@@ -32,7 +32,7 @@ pub fn render_by_mean_rays(scene: &HybridScene, camera: &Camera) -> (Image, Mean
     let (lambda, near) = (f64::from(composition.lambda), f64::from(composition.near));
     let layers = &view.layers;
     let decide = |(splat, thresholds): &mut (super::Projected, [f64; contract::MAX_LAYERS])| {
-        // Of length 1 at the mean, whose depth it thus scales.
+        // The ray's parameter is 1 at the mean, so it scales the mean's depth.
         let hits = bvh.all_hits(center, parameters.means[splat.index] - center);
         let mut depths = hits.iter().map(|hit| hit.t * splat.depth).filter(|depth| *depth > near);
         let by_ray: Vec<SurfaceDepth> =

@@ -10,12 +10,12 @@ use crate::render::contract;
 use crate::scene::Atlas;
 use crate::scene::{Camera, HybridScene, Mesh, Texture, sh};
 
-/// Where a ray meets a mesh, and how the textures are filtered there. Independent of the texels' values.
+/// Intersection of a ray with a mesh, and the texture filtering there. Independent of the texels' values.
 pub(super) struct Hit {
     pub(super) mesh: usize,
     pub(super) triangle: usize,
     pub(super) depth: f64,
-    /// Camera-space vertices, their UVs, and the ray (z = 1) that meets them.
+    /// Camera-space vertices, their UVs, and the ray (z = 1).
     corners: [DVec3; 3],
     uvs: [DVec2; 3],
     ray: DVec3,
@@ -37,18 +37,18 @@ pub(super) struct Tap {
     pub(super) slope: DVec2,
 }
 
-/// A ray through a triangle.
+/// Intersection of a ray with a triangle.
 pub(super) struct Intersection {
     pub(super) depth: f64,
     pub(super) barycentric: [f64; 3],
     pub(super) inside: bool,
-    /// ∂a/∂r of the unnormalised barycentrics a.
+    /// Derivatives ∂a/∂r of the unnormalised barycentrics a.
     n: [DVec3; 3],
-    /// Σ a
+    /// Sum of a.
     sum: f64,
 }
 
-/// Meets ray `r` (z = 1) with the plane of a triangle of camera-space vertices `v`; `None` if they are parallel.
+/// Intersects ray `r` (z = 1) with the plane of a triangle of camera-space vertices `v`; `None` if they are parallel.
 ///
 /// `inside` includes left and top edges only, so that a ray exactly through an edge that two triangles share from
 /// either side hits one of them, whatever their winding: opposite edges give exactly negated `a` and `n`.
@@ -144,7 +144,7 @@ pub(super) fn camera_triangles(scene: &HybridScene, camera: &Camera, positions: 
     scene.meshes.iter().zip(positions).map(triangles).collect()
 }
 
-/// The hits of every pixel (row-major) beyond `near`, nearest first, at most `layers`.
+/// Hits of every pixel (row-major) beyond `near`, nearest first, at most `layers`.
 pub(super) fn trace(scene: &HybridScene, camera: &Camera, positions: &[Vec<DVec3>]) -> Vec<Vec<Hit>> {
     let bvh = MeshBvh::of(&scene.meshes);
     let triangles = camera_triangles(scene, camera, positions);
@@ -162,7 +162,7 @@ fn trace_pixel(
     let r = camera.ray(pixel_center(camera, pixel));
     let towards = camera.rotation().transpose() * r;
     let mut found = Vec::new();
-    // The ray cast only proposes triangles, with some tolerance at edges.
+    // The BVH only proposes triangles, with some tolerance at edges.
     for candidate in bvh.all_hits(camera.center(), towards) {
         let (mesh, triangle) = (candidate.mesh as usize, candidate.triangle as usize);
         if let Some(x) = intersect(triangles[mesh][triangle], r)
@@ -172,7 +172,7 @@ fn trace_pixel(
             found.push((x, mesh, triangle));
         }
     }
-    // Of fragments at one depth the first in order of triangles is in front.
+    // At equal depth the first in order of triangles is in front.
     found.sort_by(|(a, mesh, triangle), (b, other_mesh, other)| {
         a.depth.total_cmp(&b.depth).then((mesh, triangle).cmp(&(other_mesh, other)))
     });
@@ -199,7 +199,7 @@ fn trace_pixel(
     found.into_iter().map(hit).collect()
 }
 
-/// The texels under a pixel whose UV is `uv` and whose UV changes by `duv` per pixel in x and in y.
+/// Texels in the footprint of a pixel whose UV is `uv` and changes by `duv` per pixel in x and in y.
 fn trilinear_taps(texture: &Texture, uv: DVec2, duv: [DVec2; 2]) -> Vec<Tap> {
     taps_at_level(texture, uv, mip_level(texture, duv))
 }

@@ -1,4 +1,4 @@
-//! How steady the order of splats and mesh layers is while a camera moves.
+//! Stability of the order of splats and mesh layers while a camera moves.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -7,19 +7,19 @@ use super::{Parameters, View, rotation};
 use crate::render::contract;
 use crate::scene::{Camera, HybridScene, smoothed};
 
-/// What changes sides of the mesh from one camera to the next.
+/// Count of changes of side between splats and mesh from one camera to the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OrderFlips {
-    /// Points of splats that both cameras have in the picture with the mesh near: each splat's six ends of axes, at one standard
-    /// deviation, where a layer of the pixel is within the scene's λ of the mean's depth. What is farther apart flips where the mesh
-    /// begins or ends to hide it, and should.
+    /// Number of points compared: the six ends of each splat's axes, at one standard deviation, if in both cameras'
+    /// pictures and if a layer of the pixel is within the scene's λ of the mean's depth. Farther apart, an order
+    /// changes where the mesh begins or ends to hide the splat, and should.
     pub points: usize,
-    /// Those at which the splat is behind another number of layers in one picture than in the other.
+    /// Points at which the splat is behind a different number of layers in the two pictures.
     pub flips: usize,
 }
 
 impl OrderFlips {
-    /// Flips of points, 0 to 1.
+    /// Fraction of points that flip, 0 to 1.
     #[must_use]
     pub fn part(self) -> f64 {
         self.flips as f64 / self.points.max(1) as f64
@@ -34,13 +34,14 @@ impl std::ops::Add for OrderFlips {
     }
 }
 
-/// Compares the order of every splat among the mesh layers between two cameras, at points that move with the splat. Where
-/// neighbouring pictures of a path differ in it, a splat shows in one and not in the next: it pops (HERA's reason for its stable order).
+/// Compares the order of every splat among the mesh layers between two cameras, at points that move with the splat. If
+/// it differs between neighbouring pictures of a path, a splat shows in one and not in the next: it pops (HERA's reason
+/// for its stable order).
 #[must_use]
 pub fn order_flips(scene: &HybridScene, cameras: [&Camera; 2]) -> OrderFlips {
     let (parameters, lambda) = (Parameters::of(scene), f64::from(scene.composition.lambda));
     let views = cameras.map(|camera| View::new(scene, camera, &parameters));
-    // By splat: its place in the list of each view.
+    // Per splat, its index in each view.
     let mut seen = vec![[None; 2]; parameters.means.len()];
     for (which, view) in views.iter().enumerate() {
         for (place, (splat, _)) in view.splats.iter().enumerate() {
@@ -71,7 +72,7 @@ pub fn order_flips(scene: &HybridScene, cameras: [&Camera; 2]) -> OrderFlips {
     splats.into_par_iter().map(of_splat).reduce(OrderFlips::default, |a, b| a + b)
 }
 
-/// Of the pixel that shows a world point, if there is one.
+/// Depths of the layers at the pixel that shows a world point, if there is one.
 fn layer_depths(view: &View, point: DVec3) -> Option<Vec<f64>> {
     let at = view.camera.in_picture(view.camera.to_camera(point))?;
     let layers = &view.layers[at.y as usize * view.camera.intrinsics().width as usize + at.x as usize];

@@ -30,7 +30,7 @@ pub struct Parameters {
     pub positions: Vec<Vec<DVec3>>,
 }
 
-/// Names one number of [`Parameters`].
+/// Address of one number of [`Parameters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parameter {
     /// (splat, axis)
@@ -88,7 +88,7 @@ impl Parameters {
         }
     }
 
-    /// One number.
+    /// Mutable access to one number.
     ///
     /// # Panics
     /// If there is no such parameter.
@@ -106,9 +106,10 @@ impl Parameters {
     }
 }
 
-/// Derivative of Σ `cotangent`·image with respect to one of the parameters that a scene is rendered with, by central differences of step `h`.
+/// Derivative of Σ `cotangent`·image with respect to one parameter of a scene's rendering, by central differences of
+/// step `h`.
 ///
-/// Owes nothing to the closed forms of [`super::backward`]; meaningful where ±`h` crosses no threshold.
+/// Independent of the closed forms of [`super::backward`]; meaningful where ±`h` crosses no threshold.
 ///
 /// # Panics
 /// If there is no such parameter, or `cotangent` is not of the camera's size.

@@ -1,4 +1,5 @@
-//! Pixels' lists under [`ImageModel::Ray`](contract::ImageModel): every splat at its peak along the pixel's own ray.
+//! Contributions to pixels under [`ImageModel::Ray`](contract::ImageModel): every splat at its peak along the pixel's
+//! own ray.
 
 use glam::{DMat3, DVec3};
 
@@ -6,7 +7,7 @@ use super::{Contribution, Fragment, Parameters, Source, mesh, pixel_center, radi
 use crate::render::contract::{self, ShDirection};
 use crate::scene::{Camera, HybridScene, sigmoid};
 
-/// Everything about a scene that a camera's rays meet.
+/// A scene as seen by a camera's rays.
 pub(super) struct RayView<'a> {
     camera: &'a Camera,
     near: f64,
@@ -17,9 +18,9 @@ pub(super) struct RayView<'a> {
 
 struct RaySplat {
     index: usize,
-    /// World space to units of its standard deviations along its axes: S⁻¹Rᵀ.
+    /// Transform from world space to the splat's axes, in units of its standard deviations: S⁻¹Rᵀ.
     whitening: DMat3,
-    /// The camera's centre in that frame.
+    /// Camera's centre in that frame.
     origin: DVec3,
     opacity: f64,
     color: Color,
@@ -27,7 +28,7 @@ struct RaySplat {
 
 enum Color {
     Same(DVec3),
-    /// Of `radiance_along` in the ray's direction.
+    /// Evaluated by `radiance_along` in the ray's direction.
     ByRay,
 }
 
@@ -61,7 +62,7 @@ impl<'a> RayView<'a> {
         Self { camera, near, hits, layers, splats }
     }
 
-    /// All that covers a pixel, front to back.
+    /// Contributions to a pixel, front to back.
     pub(super) fn contributions(
         &self,
         scene: &HybridScene,
@@ -80,7 +81,7 @@ impl<'a> RayView<'a> {
             let source = Source::Splat(splat.index, glam::DVec2::ZERO);
             Some(Contribution { source, depth: peak.depth, alpha, color, transmittance: 0.0 })
         };
-        // Splats by index before layers: the stable sort keeps this where depths are equal.
+        // Splats by index come before layers, which the stable sort preserves at equal depths.
         let mut list: Vec<_> = self.splats.iter().filter_map(splat).collect();
         list.extend(self.layers[pixel].iter().enumerate().map(|(i, layer)| layer.contribution(i)));
         list.sort_by(|a, b| a.depth.total_cmp(&b.depth));

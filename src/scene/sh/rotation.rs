@@ -1,21 +1,21 @@
 use glam::DMat3;
 
-/// One band's matrix: rows and columns from m = −l to l, the rest unused.
+/// Matrix of one band: rows and columns from m = −l to l, the rest unused.
 type Block = [[f64; 7]; 7];
 
-/// How coefficients change when the object that they colour is turned or mirrored: `c' = D c` shows in direction `O d`
-/// what `c` shows in direction `d`.
+/// Rotation or reflection of SH coefficients with the object that they colour: `c' = D c` gives in direction `O d` the
+/// colour that `c` gives in direction `d`.
 ///
-/// D is the Wigner D-matrix of real harmonics, a block per band, made by the recursion of Ivanic and Ruedenberg (J. Phys.
-/// Chem. 1996, 100, 6342, with the correction of 1998). A block is a polynomial of degree l in the entries of `O`, so
-/// that reflections need no case of their own.
+/// D is the Wigner D-matrix of real harmonics, a block per band, computed by the recursion of Ivanic and Ruedenberg (J.
+/// Phys. Chem. 1996, 100, 6342, with the correction of 1998). A block is a polynomial of degree l in the entries of
+/// `O`, so that reflections need no special case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rotation {
     bands: [Block; 3],
 }
 
 impl Rotation {
-    /// For an orthogonal matrix of determinant 1 or −1.
+    /// Rotation for an orthogonal matrix of determinant 1 or −1.
     #[must_use]
     pub fn new(orthogonal: DMat3) -> Self {
         // Band 1 is y, z, x: the matrix itself with its axes in this order.
@@ -31,7 +31,7 @@ impl Rotation {
         Self { bands: [first, second, third].map(in_our_signs) }
     }
 
-    /// Turns the coefficients of bands 1 to d of one function, in place: 3, 8 or 15 RGB triples. Band 0 does not turn.
+    /// Rotates the coefficients of bands 1 to d of one function, in place: 3, 8 or 15 RGB triples. Band 0 is invariant.
     pub fn apply(&self, mut coefficients: &mut [[f32; 3]]) {
         for (block, size) in self.bands.iter().zip([3, 5, 7]) {
             let Some((band, rest)) = coefficients.split_at_mut_checked(size) else { return };
@@ -46,7 +46,7 @@ impl Rotation {
     }
 }
 
-/// Band `l` from band 1 and band `l − 1`, in the signs of the literature.
+/// Band `l` from band 1 and band `l − 1`, in the sign convention of the literature.
 fn next(first: &Block, lower: &Block, l: i32) -> Block {
     let mut block = Block::default();
     for m in -l..=l {
@@ -59,7 +59,7 @@ fn next(first: &Block, lower: &Block, l: i32) -> Block {
 
 fn element(first: &Block, lower: &Block, l: i32, m: i32, n: i32) -> f64 {
     let r = |i: i32, j: i32| first[(i + 1) as usize][(j + 1) as usize];
-    // What lies outside the lower band is multiplied by 0 below.
+    // Terms outside the lower band are multiplied by 0 below.
     let low = |a: i32, b: i32| if a.abs() < l { lower[(a + l - 1) as usize][(b + l - 1) as usize] } else { 0.0 };
     let p = |i: i32, a: i32| {
         if n == l {
@@ -86,8 +86,8 @@ fn element(first: &Block, lower: &Block, l: i32, m: i32, n: i32) -> f64 {
     }
 }
 
-/// Our basis is the literature's times (−1)^m. Entries within rounding of 0 and ±1 become exact, so that exchanging
-/// axes changes no more bits than it must.
+/// Converts to the sign convention used here, the literature's times (−1)^m. Entries within rounding of 0 and ±1 become
+/// exact, so that exchanging axes changes no more bits than it must.
 fn in_our_signs(mut block: Block) -> Block {
     for (m, row) in block.iter_mut().enumerate() {
         for (n, value) in row.iter_mut().enumerate() {

@@ -1,7 +1,7 @@
-//! The compressed PLY of `PlayCanvas` (`SuperSplat`, splat-transform): chunks of 256 splats with their bounds, then 16 bytes
-//! per splat, then a byte per SH coefficient above 0.
+//! Compressed PLY of `PlayCanvas` (`SuperSplat`, splat-transform): chunks of 256 splats with their bounds, then 16
+//! bytes per splat, then a byte per SH coefficient above 0.
 //!
-//! | word | bits from the top | what | largest error of [`write()`] |
+//! | word | bits from the top | content | largest error of [`write()`] |
 //! |---|---|---|---|
 //! | position | 11, 10, 11 | mean x, y, z between the chunk's bounds | 1/4094 (x, z) or 1/2046 (y) of its extent |
 //! | rotation | 2, 10, 10, 10 | index in (w, x, y, z) of the largest component, which is positive; the others ×√½ + ½ | 0.28° |
@@ -9,7 +9,7 @@
 //! | colour | 8, 8, 8, 8 | red, green, blue of SH coefficient 0 between the chunk's bounds (or 0..1), opacity | 1/510 of the extent, 1/510 |
 //! | SH | 8 each | `f_rest_*`, −4..4 in 256 bins, of which the first and the last stand for ±4 | 1/64, 1/32 at the ends; beyond ±4 clipped |
 //!
-//! The frame is that of INRIA PLY: the scene's own, by custom y down.
+//! The frame is that of INRIA PLY: the scene's own, by convention y down.
 
 use std::io::{BufRead, Seek, SeekFrom, Write as _};
 use std::path::Path;
@@ -28,16 +28,16 @@ use crate::scene::{PixelFilter, SplatArrays, Splats, in_morton_order, sh};
 /// Splats in a chunk.
 const CHUNK: usize = 256;
 
-/// Splats that are encoded as one task.
+/// Number of splats encoded as one task.
 const GROUP: usize = 32 * CHUNK;
 
 /// Half the range of SH coefficients.
 const SH_RANGE: f32 = 4.0;
 
-/// The least log-scale written, as by `PlayCanvas`: a splat of 10⁻³⁵ must not take the precision from its neighbours.
+/// Least log-scale written, as by `PlayCanvas`: a splat of 10⁻³⁵ must not reduce the precision of its neighbours.
 const LEAST_LOG_SCALE: f32 = -20.0;
 
-/// Names of the bounds in the order in which they are written. The last six may be absent.
+/// Names of the bounds in writing order. The last six may be absent.
 const BOUNDS: [&str; 18] = [
     "min_x",
     "min_y",
@@ -60,7 +60,7 @@ const BOUNDS: [&str; 18] = [
 ];
 const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
 
-/// Lowest and highest values in a chunk, axis by axis.
+/// Lowest and highest values in a chunk, per axis.
 #[derive(Clone, Copy)]
 struct Bounds {
     mean: [Vec3; 2],
@@ -68,7 +68,7 @@ struct Bounds {
     color: [Vec3; 2],
 }
 
-/// Writes splats as compressed PLY, in Morton order: neighbours in one chunk have narrow bounds.
+/// Writes splats as compressed PLY, in Morton order, so that neighbours in a chunk have narrow bounds.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -76,7 +76,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     write_with(path, splats, PixelFilter::DILATION)
 }
 
-/// As [`write()`], with the comments of [`super::write_with`].
+/// Same as [`write()`], with the comments of [`super::write_with`].
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -99,7 +99,7 @@ pub fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Re
     let mut max_error = SplatError::default();
     let bytes = atomic_write_with(path, |out| {
         out.write_all(header.as_bytes())?;
-        // The three tables grow side by side in the file.
+        // The three tables are filled in parallel at their final offsets.
         let bounds = header.len();
         let vertices = bounds + chunks * 4 * BOUNDS.len();
         let mut ends = [bounds, vertices, vertices + splats.len() * 4 * PACKED.len()].map(|offset| offset as u64);
@@ -121,12 +121,12 @@ pub fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Re
     Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() }, ..WriteReport::default() })
 }
 
-/// True if the header is that of a compressed PLY.
+/// Whether the header is that of a compressed PLY.
 pub(super) fn is_compressed(header: &Header) -> bool {
     header.element("vertex").is_some_and(|vertex| vertex.scalar(PACKED[0]).is_some())
 }
 
-/// Scalar properties of compressed splats beside what they are packed in.
+/// Names of scalar properties besides the packed ones.
 pub(super) fn extra_properties(vertex: &Element) -> impl Iterator<Item = &str> {
     vertex.scalar_properties().map(|(_, name, _)| name).filter(|name| !PACKED.contains(name))
 }
@@ -184,7 +184,7 @@ pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>
         }
         Some(element) => {
             let (rest, bands) = (rest_columns(element), sh::coefficients(sh_degree) - 1);
-            // As many rows of `sh` as splats, so that `count` fits into the file.
+            // `sh` has as many rows as there are splats, so `count` is bounded by the file's length.
             let start = |_| (0, SplatArrays::with_capacity(count, sh_degree));
             body.blocks(header, "sh", start, |(first, arrays), rows| {
                 let rows: Vec<&[u8]> = rows.collect();
@@ -202,7 +202,7 @@ pub(super) fn parse(header: &Header, body: &mut Body<impl BufRead + Seek + Send>
             .1
         }
     };
-    // Bounds are the only floats.
+    // Bounds are the only floats that may be invalid.
     arrays.check().map_err(|e| body.locate(header, "chunk", |i| i / CHUNK, e.into()))
 }
 
@@ -277,9 +277,9 @@ fn decode(bounds: &Bounds, [position, rotation, scale, color]: [u32; 4]) -> Spla
     }
 }
 
-/// Where `value` lies between the bounds, 0 to 1; 0 where these are one.
+/// Position of `value` between the bounds, 0 to 1 per axis; 0 where the bounds coincide.
 fn parts(value: Vec3, [low, high]: [Vec3; 2]) -> [f32; 3] {
-    // In f64: the extent of f32 values may exceed f32.
+    // In f64: the extent of f32 values may exceed the range of f32.
     let (value, low, high) = (value.as_dvec3(), low.as_dvec3(), high.as_dvec3());
     let part = (value - low) / (high - low).max(glam::DVec3::splat(f64::MIN_POSITIVE));
     part.as_vec3().to_array()
@@ -289,7 +289,7 @@ fn between([low, high]: [Vec3; 2], part: Vec3) -> Vec3 {
     low * (Vec3::ONE - part) + high * part
 }
 
-/// The lowest bits of `v`, of which `levels` has all set, as a part of `levels`.
+/// Lowest bits of `v`, selected by the all-ones mask `levels`, as a fraction of `levels`.
 fn unit(v: u32, levels: u32) -> f32 {
     (v & levels) as f32 / levels as f32
 }
@@ -318,7 +318,7 @@ fn decode_rotation(word: u32) -> Quat {
 }
 
 fn coefficient_byte(value: f32) -> u8 {
-    // A cast saturates, which clips.
+    // A cast saturates, which clips the value.
     ((value / (2.0 * SH_RANGE) + 0.5) * 256.0) as u8
 }
 

@@ -1,4 +1,4 @@
-//! The rows of a PLY, one by one or in blocks, so that a file need not fit into memory.
+//! Rows of a PLY, read one by one or in blocks, so that a file need not fit into memory.
 
 use std::io::{BufRead, Seek, SeekFrom};
 
@@ -6,22 +6,22 @@ use super::{Column, Element, Encoding, Header, Scalar};
 use crate::format::blocks::{BLOCK_BYTES, in_blocks};
 use crate::format::error::{Fault, Location, shown};
 
-/// Longest number in ASCII; the longest f64 written out in full takes 344 characters.
+/// Longest number in ASCII that is accepted; the longest f64 written out in full takes 344 characters.
 const MAX_TOKEN: usize = 512;
 
-/// The rows behind a header.
+/// Rows after a header.
 pub(crate) struct Body<R> {
     reader: R,
     /// Offset of the first row.
     start: u64,
-    /// Where `reader` stands.
+    /// Current offset of `reader`.
     offset: u64,
     length: u64,
     encoding: Encoding,
     token: Vec<u8>,
 }
 
-/// One row: `values[column]` for scalars (NaN in the place of a list), `lists[column]` for lists.
+/// One row: `values[column]` for scalars (NaN in place of a list), `lists[column]` for lists.
 #[derive(Default)]
 pub(crate) struct Row {
     /// Offset in the file.
@@ -31,12 +31,12 @@ pub(crate) struct Row {
 }
 
 impl<R: BufRead + Seek> Body<R> {
-    /// `reader` stands at `start`, behind the header of a file of `length` bytes.
+    /// Creates the body; `reader` is at `start`, the end of the header, in a file of `length` bytes.
     pub(super) fn new(reader: R, start: u64, length: u64, encoding: Encoding) -> Self {
         Self { reader, start, offset: start, length, encoding, token: vec![] }
     }
 
-    /// Walks over all rows of all elements without looking at values. Returns the number of bytes after the last row.
+    /// Passes over all rows of all elements without evaluating them. Returns the number of bytes after the last row.
     pub(crate) fn bytes_after_rows(&mut self, header: &Header) -> Result<u64, Fault> {
         self.rewind()?;
         header.elements.iter().try_for_each(|element| self.pass(element))?;
@@ -48,9 +48,9 @@ impl<R: BufRead + Seek> Body<R> {
         Ok(rest)
     }
 
-    /// Calls `visit` with each row of the first table called `name`, in order.
+    /// Calls `visit` with each row, in order, of the first table called `name`.
     ///
-    /// `reserve` is called once before that with the number of rows, which is known by then to fit into the file.
+    /// `reserve` is called once before, with the number of rows, which has then been checked against the file's length.
     pub(crate) fn rows<S>(
         &mut self,
         header: &Header,
@@ -64,12 +64,12 @@ impl<R: BufRead + Seek> Body<R> {
         Ok(state)
     }
 
-    /// Goes to the rows of the first table.
+    /// Seeks to the rows of the first table.
     pub(crate) fn rewind(&mut self) -> Result<(), Fault> {
         self.go_to(self.start)
     }
 
-    /// Calls `visit` with each row of `element`, which is the next.
+    /// Calls `visit` with each row of `element`, the next table in the file.
     pub(crate) fn next_rows(
         &mut self,
         element: &Element,
@@ -83,19 +83,19 @@ impl<R: BufRead + Seek> Body<R> {
         })
     }
 
-    /// Goes past the rows of `element`, which is the next.
+    /// Skips the rows of `element`, the next table in the file.
     pub(crate) fn pass(&mut self, element: &Element) -> Result<(), Fault> {
         self.check_fits(element)?;
         if self.is_fixed(element) {
-            // Cannot overflow or run past the end: `check_fits` has looked.
+            // Cannot overflow or exceed the end of the file, as checked by `check_fits`.
             return self.go_to(self.offset + (element.count * element.stride) as u64);
         }
         let mut row = Row::default();
         (0..element.count).try_for_each(|_| self.row(element, &mut row))
     }
 
-    /// As [`Self::rows`] without lists, and many rows at a time: `visit` gets the scalars of consecutive rows, packed, to
-    /// be looked at by [`Column`].
+    /// Same as [`Self::rows`], without lists and in blocks: `visit` gets the scalars of consecutive rows, packed, to be
+    /// accessed by [`Column`].
     pub(in crate::format::ply) fn blocks<S: Send>(
         &mut self,
         header: &Header,
@@ -122,7 +122,7 @@ impl<R: BufRead + Seek> Body<R> {
         self.rewind()?;
         for element in &header.elements {
             if element.name == name {
-                // What makes room for the rows relies on this.
+                // Allocation for the rows relies on this check.
                 self.check_fits(element)?;
                 return Ok(element);
             }
@@ -131,7 +131,8 @@ impl<R: BufRead + Seek> Body<R> {
         header.required(name)
     }
 
-    /// `fault` with the byte at which row `row_of(i)` of the table called `name` begins, where it is that of an element `i`.
+    /// Places `fault`, if it is that of an element `i`, at the byte where row `row_of(i)` of the table called `name`
+    /// begins.
     pub(in crate::format::ply) fn locate(
         &mut self,
         header: &Header,
@@ -158,7 +159,7 @@ impl<R: BufRead + Seek> Body<R> {
         Ok(())
     }
 
-    /// Error if the declared rows cannot fit into what is left of the file.
+    /// Checks that the declared rows fit into the rest of the file.
     fn check_fits(&self, element: &Element) -> Result<(), Fault> {
         let least_row: usize = match self.encoding {
             // A digit and a separator each.
@@ -179,7 +180,7 @@ impl<R: BufRead + Seek> Body<R> {
         ))
     }
 
-    /// Whether rows are as long as each other, and [`Element::stride`] bytes.
+    /// Whether all rows have the same length of [`Element::stride`] bytes.
     fn is_fixed(&self, element: &Element) -> bool {
         self.encoding != Encoding::Ascii && element.properties.iter().all(|p| p.list_length.is_none())
     }
@@ -251,8 +252,8 @@ impl<R: BufRead + Seek> Body<R> {
         Ok(Column { offset: 0, kind }.f64(&bytes))
     }
 
-    /// Puts the next word, of which [`MAX_TOKEN`] bytes are kept, into `token`; empty at the end of the file. Returns
-    /// where it stands.
+    /// Reads the next word into `token`, of which at most [`MAX_TOKEN`] bytes are kept; empty at the end of the file.
+    /// Returns the word's offset.
     fn next_token(&mut self) -> Result<u64, Fault> {
         self.token.clear();
         let mut at = self.offset;

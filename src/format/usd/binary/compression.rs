@@ -1,9 +1,9 @@
-//! The two compressions of a crate file: LZ4 blocks, and integers as differences of few bytes.
+//! Decompression of the two encodings of a crate file: LZ4 blocks, and integers as differences of few bytes.
 
-/// Bytes that one byte of an LZ4 block can stand for at most.
+/// Upper bound on bytes per byte of an LZ4 block.
 const MAX_RATIO: usize = 255;
 
-/// What a compressed piece of at most `limit` bytes holds; `None` if it is malformed.
+/// Decompresses a piece to at most `limit` bytes; `None` if it is malformed.
 pub(super) fn decompress(piece: &[u8], limit: usize) -> Option<Vec<u8>> {
     let limit = limit.min(piece.len().saturating_mul(MAX_RATIO));
     let (&chunks, mut rest) = piece.split_first()?;
@@ -15,7 +15,7 @@ pub(super) fn decompress(piece: &[u8], limit: usize) -> Option<Vec<u8>> {
     for _ in 0..chunks {
         let (size, tail) = rest.split_first_chunk::<4>()?;
         let chunk = tail.get(..usize::try_from(i32::from_le_bytes(*size)).ok()?)?;
-        // Each chunk is a block of its own, which refers to nothing before it.
+        // Each chunk is an independent block.
         let mut block = vec![];
         lz4(chunk, limit - out.len(), &mut block)?;
         out.append(&mut block);
@@ -44,14 +44,14 @@ fn lz4(mut block: &[u8], limit: usize, out: &mut Vec<u8>) -> Option<()> {
         if start == out.len() || out.len() + matched > limit {
             return None;
         }
-        // A match may run into what it makes.
+        // A match may overlap the bytes that it produces.
         for i in start..start + matched {
             out.push(out[i]);
         }
     }
 }
 
-/// A length that began with `nibble`.
+/// Decodes a length that starts with `nibble`.
 fn length(nibble: usize, block: &mut &[u8]) -> Option<usize> {
     let mut total = nibble;
     if nibble == 15 {
@@ -67,20 +67,20 @@ fn length(nibble: usize, block: &mut &[u8]) -> Option<usize> {
     Some(total)
 }
 
-/// `count` integers of 32 bits.
+/// Decodes `count` 32-bit integers.
 pub(super) fn integers_32(piece: &[u8], count: usize) -> Option<Vec<i32>> {
     let values = integers::<4>(piece, count, [1, 2, 4])?;
-    // Differences wrap, as unsigned values do.
+    // Differences wrap around, as in unsigned arithmetic.
     Some(values.into_iter().map(|v| v as i32).collect())
 }
 
-/// `count` integers of 64 bits.
+/// Decodes `count` 64-bit integers.
 pub(super) fn integers_64(piece: &[u8], count: usize) -> Option<Vec<i64>> {
     integers::<8>(piece, count, [2, 4, 8])
 }
 
-/// Integers of `N` bytes: the most frequent difference, two bits per integer (that difference, or one of `sizes` bytes),
-/// the differences.
+/// Decodes integers of `N` bytes: the most frequent difference, two bits per integer (that difference, or one of
+/// `sizes` bytes), the differences.
 fn integers<const N: usize>(piece: &[u8], count: usize, sizes: [usize; 3]) -> Option<Vec<i64>> {
     let codes_length = count.div_ceil(4);
     let limit = N.checked_add(codes_length)?.checked_add(count.checked_mul(N)?)?;

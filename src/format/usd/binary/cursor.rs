@@ -1,9 +1,9 @@
-//! Reading along the bytes of a crate file.
+//! Sequential reading of a crate file's bytes.
 
 use super::compression::integers_32;
 use crate::format::error::Fault;
 
-/// A place in the file.
+/// Position in the file.
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {
     file: &'a [u8],
@@ -44,7 +44,7 @@ impl<'a> Cursor<'a> {
         Ok(u64::from_le_bytes(*self.chunk()?))
     }
 
-    /// A count of things that take `least` bytes or more each.
+    /// Reads a count of elements that take at least `least` bytes each.
     pub(super) fn count(&mut self, least: usize) -> Result<usize, Fault> {
         let count = self.u64()?;
         let most = (self.file.len() - self.at) / least;
@@ -54,7 +54,7 @@ impl<'a> Cursor<'a> {
             .ok_or_else(|| self.fault(format!("a count of {most} or less"), count.to_string()))
     }
 
-    /// The length of an array, which older versions write in fewer bytes.
+    /// Reads the length of an array, which older versions write in fewer bytes.
     pub(super) fn array_count(&mut self, version: [u8; 2]) -> Result<usize, Fault> {
         if version < [0, 5] {
             self.chunk::<4>()?;
@@ -68,10 +68,10 @@ impl<'a> Cursor<'a> {
         Ok(bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect())
     }
 
-    /// A compressed piece that stands for `count` integers.
+    /// Reads a compressed piece that represents `count` integers.
     pub(super) fn piece(&mut self, count: usize) -> Result<&'a [u8], Fault> {
         let size = self.count(1)?;
-        // A byte stands for 255 at most, each of these for four integers.
+        // A byte decompresses to at most 255 bytes, each of which represents four integers.
         if count / 1020 > size {
             return Err(self.fault(format!("at most {} integers", size * 1020), count.to_string()));
         }
@@ -83,7 +83,7 @@ impl<'a> Cursor<'a> {
         integers_32(piece, count).ok_or_else(|| self.fault(format!("{count} compressed integers"), "something else"))
     }
 
-    /// Goes to where the offset says that lies here, which counts from its own place.
+    /// Reads an offset and moves there; it is relative to its own position.
     pub(super) fn follow(&mut self) -> Result<(), Fault> {
         let start = self.at as u64;
         let offset = self.u64()?;
@@ -92,11 +92,11 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// The items of an edit of a list that end up in it.
+    /// Reads the items that a list edit adds or sets.
     pub(super) fn list_op(&mut self) -> Result<Vec<u32>, Fault> {
         let [flags] = *self.chunk()?;
         let mut items = vec![];
-        // Explicit, added, prepended, appended; then deleted and ordered, which are not read.
+        // Explicit, added, prepended, appended; deleted and ordered follow, which are not read.
         for flag in [1, 2, 5, 6] {
             if flags >> flag & 1 == 1 {
                 let count = self.count(4)?;

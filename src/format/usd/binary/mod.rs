@@ -1,7 +1,8 @@
-//! The binary form of a layer (`.usdc`, "crate"), versions 0.4 and later, read into the same document as text.
+//! Reader of the binary form of a layer (`.usdc`, "crate"), versions 0.4 and later, which gives the same document as
+//! text.
 //!
-//! A table of contents names six sections: tokens, strings that are tokens, fields (a name and a value), sets of fields,
-//! paths as a tree, and specs, each a path with a set of fields. Values lie anywhere in the file.
+//! A table of contents names six sections: tokens, strings (indices of tokens), fields (a name and a value), sets of
+//! fields, paths as a tree, and specs, each a path with a set of fields. Values may be anywhere in the file.
 
 mod compression;
 mod cursor;
@@ -17,51 +18,51 @@ use values::Rep;
 use super::document::Layer;
 use crate::format::error::Fault;
 
-/// What a file begins with.
+/// Signature at the start of a file.
 pub(in crate::format::usd) const MAGIC: &[u8] = b"PXR-USDC";
 
-/// Numbers of 8 bytes that what is made of a file of so many bytes may take, its tables and all its values together. Compressed, an array of equal
-/// numbers takes a thousandth of this, but nobody's whole file is made of those: the barest of prims takes 8 bytes of it, and one of
-/// forty properties that are as in all others one byte for each.
+/// Memory budget, in 8-byte numbers, for the tables and all values of a file of this length. A compressed array of
+/// equal numbers takes a thousandth of its budget in the file, but no real file consists of those: the barest prim
+/// takes 8 bytes of the file, and one with forty properties shared with all others takes one byte per property.
 fn most_values(bytes: usize) -> usize {
     (1 << 16) + bytes.saturating_mul(64)
 }
 
-/// Bytes of the shortest text: the least that memory is given out by.
+/// Bytes of the shortest text: the smallest unit of allocation.
 const LEAST_TEXT: usize = 32;
 
-/// Ends a set of fields.
+/// End marker of a set of fields.
 const END: u32 = u32::MAX;
 
-/// An opened file.
+/// Opened file.
 struct Crate<'a> {
     file: &'a [u8],
     version: [u8; 2],
-    /// Offset of the section that says where values are.
+    /// Offset of the section with the places of values.
     fields_at: usize,
     tokens: Vec<String>,
-    /// Indices of tokens.
+    /// Strings, as indices of tokens.
     strings: Vec<u32>,
-    /// Name and value.
+    /// Fields: name and value.
     fields: Vec<(u32, Rep)>,
-    /// Indices of fields, sets ended by [`END`].
+    /// Sets of field indices, terminated by [`END`].
     sets: Vec<u32>,
     paths: Vec<PathNode>,
-    /// Numbers of 8 bytes that tables and values may still take.
+    /// Remaining memory budget for tables and values, in 8-byte numbers.
     budget: usize,
 }
 
-/// A path by its last element.
+/// Path, represented by its last element.
 #[derive(Clone, Copy, Default)]
 struct PathNode {
-    /// Index of a path; that of the root is its own.
+    /// Index of the parent path; the root is its own parent.
     parent: usize,
     token: u32,
     is_property: bool,
     depth: usize,
 }
 
-/// Reads the bytes of a layer.
+/// Parses the bytes of a layer.
 pub(super) fn parse(file: &[u8]) -> Result<Layer, Fault> {
     let mut header = Cursor::new(file, MAGIC.len() as u64)?;
     let [major, minor, ..] = *header.chunk::<8>()?;
@@ -153,7 +154,7 @@ impl<'a> Crate<'a> {
         Ok(names.into_iter().zip(reps).map(|(name, rep)| (name as u32, Rep(u64::from_le_bytes(*rep)))).collect())
     }
 
-    /// A count of things that may be compressed, each of which becomes so many bytes: taken note of.
+    /// Reads a count of possibly compressed elements, each of which takes `bytes` bytes of memory, and reserves these.
     fn counted(&mut self, cursor: &mut Cursor<'_>, bytes: usize) -> Result<usize, Fault> {
         let (count, most) = (cursor.u64()?, self.budget.saturating_mul(8) / bytes);
         let Some(fitting) = usize::try_from(count).ok().filter(|&c| c <= most) else {
@@ -167,7 +168,7 @@ impl<'a> Crate<'a> {
         Cursor::new(self.file, offset)
     }
 
-    /// Takes note of what is made. Many fields can name one long array or text.
+    /// Reserves memory from the budget. Many fields can refer to one long array or text.
     fn spend(&mut self, numbers: usize) -> Result<(), Fault> {
         self.budget = self.left_after(numbers)?;
         Ok(())
@@ -186,7 +187,7 @@ impl<'a> Crate<'a> {
         Fault::whole(format!("tokens below {}", self.tokens.len()), index.to_string())
     }
 
-    /// A token that is a name, taken note of: many things can have one long name.
+    /// Copies a token as a name and reserves its memory: many objects can share one long name.
     fn name(&mut self, token: u32) -> Result<String, Fault> {
         self.spend(1 + self.tokens.get(token as usize).map_or(0, String::len) / 8)?;
         self.token(token)
@@ -197,7 +198,7 @@ impl<'a> Crate<'a> {
         self.token(*self.strings.get(index as usize).ok_or_else(outside)?)
     }
 
-    /// `/prim.property`, if there is room for it.
+    /// Path as text, `/prim.property`, if the budget allows it.
     fn path(&self, index: u32) -> Result<String, Fault> {
         let outside = || Fault::whole(format!("paths below {}", self.paths.len()), index.to_string());
         let mut node = self.paths.get(index as usize).ok_or_else(outside)?;

@@ -1,4 +1,4 @@
-//! Paths and specs to prims.
+//! Conversion of paths and specs to prims.
 
 use super::cursor::Cursor;
 use super::values::Rep;
@@ -6,7 +6,7 @@ use super::{Crate, END, PathNode};
 use crate::format::error::Fault;
 use crate::format::usd::document::{Field, Layer, Prim, Property, PropertyKind, Specifier, Value, Variant};
 
-/// How deep prims may lie in each other, as in text.
+/// Greatest nesting depth of prims, as in text.
 const MAX_DEPTH: usize = 200;
 
 /// Kinds of specs.
@@ -16,25 +16,25 @@ const ROOT: i32 = 7;
 const RELATIONSHIP: i32 = 8;
 const VARIANT: i32 = 10;
 
-/// What a spec says.
+/// Content of a spec.
 enum Spec {
     Prim(Prim),
     Property(Property),
     Variant(Variant),
 }
 
-/// A value, or the samples of an animated one.
+/// Value, or samples of an animated value.
 enum Content {
     Value(Value),
     Samples(Vec<(f64, Value)>),
 }
 
-/// `total` nodes, from the place, the element and the jump of every entry; `None` if these are no tree, in which a way up from a node need not
-/// come to an end.
+/// Builds `total` nodes from the place, element and jump of every entry; `None` if they do not form a tree, in which
+/// case the way up from a node might not end.
 pub(super) fn nodes(total: usize, [places, elements, jumps]: &[Vec<i32>; 3]) -> Option<Vec<PathNode>> {
     let mut nodes: Vec<Option<PathNode>> = vec![None; total];
     let mut seen = vec![false; places.len()];
-    // Entries that are still to be read, with the places of their parents.
+    // Entries still to be read, with the places of their parents.
     let mut stack: Vec<(usize, Option<usize>)> = if places.is_empty() { vec![] } else { vec![(0, None)] };
     while let Some((entry, parent)) = stack.pop() {
         let (seen, jump) = (seen.get_mut(entry)?, *jumps.get(entry)?);
@@ -66,8 +66,8 @@ pub(super) fn nodes(total: usize, [places, elements, jumps]: &[Vec<i32>; 3]) -> 
 }
 
 impl Crate<'_> {
-    /// The tree of paths: for each in depth-first order its place in the list, its last element, and whether what follows
-    /// is a child, a sibling, or a child with a sibling further on.
+    /// Reads the tree of paths: for each path in depth-first order its place in the list, its last element, and whether
+    /// a child, a sibling, or a child with a later sibling follows.
     pub(super) fn read_paths(&mut self, mut section: Cursor<'_>) -> Result<Vec<PathNode>, Fault> {
         let total = section.u64()?;
         let count = self.counted(&mut section, size_of::<[i32; 3]>() + size_of::<PathNode>())?;
@@ -76,7 +76,7 @@ impl Crate<'_> {
             .ok_or_else(|| Fault::whole("a tree of paths", "entries that are none"))
     }
 
-    /// The document of specs: of each its path, its set of fields and its kind.
+    /// Builds the document from specs: path, set of fields and kind of each.
     pub(super) fn layer(&mut self, paths: &[i32], sets: &[i32], kinds: &[i32]) -> Result<Layer, Fault> {
         let mut layer = Layer::default();
         self.spend(self.paths.len() * (size_of::<Option<Spec>>() + size_of::<Vec<String>>()) / 8)?;
@@ -114,7 +114,7 @@ impl Crate<'_> {
         Ok(self.assemble(layer, specs, &orders))
     }
 
-    /// Puts everything below its parent: the deepest first.
+    /// Attaches every spec to its parent, deepest first.
     fn assemble(&self, mut layer: Layer, mut specs: Vec<Option<Spec>>, orders: &[Vec<String>]) -> Layer {
         let mut by_depth: Vec<usize> = (0..specs.len()).filter(|&i| specs[i].is_some()).collect();
         by_depth.sort_by_key(|&i| std::cmp::Reverse(self.paths[i].depth));
@@ -129,7 +129,7 @@ impl Crate<'_> {
                 (Spec::Prim(prim), Some(Spec::Prim(above))) => above.children.push(prim),
                 (Spec::Property(property), Some(Spec::Prim(above))) => above.properties.push(property),
                 (Spec::Variant(variant), Some(Spec::Prim(above))) => above.variants.push(variant),
-                // Of variants, which are not chosen.
+                // Content of variants, which are not selected.
                 _ => {}
             }
         }
@@ -151,7 +151,7 @@ impl Crate<'_> {
             let &(name, rep) = self.fields.get(index as usize).ok_or_else(outside)?;
             let name = self.name(name)?;
             at += 1;
-            // These have specs of their own.
+            // Properties have specs of their own.
             if name == "properties" {
                 continue;
             }
@@ -171,7 +171,7 @@ impl Crate<'_> {
     }
 }
 
-/// In the order of `names`; others stay behind them as they are.
+/// Sorts prims in the order of `names`; others follow in their existing order.
 fn arrange(prims: &mut [Prim], names: &[String]) {
     let place: std::collections::HashMap<&str, usize> =
         names.iter().enumerate().map(|(i, n)| (n.as_str(), i)).collect();

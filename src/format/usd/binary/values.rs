@@ -1,4 +1,4 @@
-//! Values of a crate file: 64 bits that hold them or say where they are.
+//! Values of a crate file: 64-bit representations that contain the value or its offset.
 
 use half::f16;
 
@@ -8,14 +8,15 @@ use super::cursor::Cursor;
 use crate::format::error::Fault;
 use crate::format::usd::document::{Entry, Value};
 
-/// What a value in a list or of a time takes besides its numbers or its text, in numbers of 8 bytes: itself, its time, and the least
-/// that memory is given out by.
+/// Memory of a value in a list or of a time sample besides its numbers or text, in 8-byte numbers: the value itself,
+/// its time, and the smallest unit of allocation.
 const PER_VALUE: usize = size_of::<(f64, Value)>() / 8 + 4;
 
-/// Arrays shorter than this are never compressed.
+/// Shorter arrays are never compressed.
 const MIN_COMPRESSED: usize = 16;
 
-/// 1 bit each for array, inlined and compressed, 8 bits of type, 48 bits of content or of its offset.
+/// Value representation: 1 bit each for array, inlined and compressed, 8 bits of type, 48 bits of content or of its
+/// offset.
 #[derive(Clone, Copy)]
 pub(super) struct Rep(pub(super) u64);
 
@@ -40,13 +41,13 @@ impl Rep {
         self.0 & ((1 << 48) - 1)
     }
 
-    /// Content that needs no more than 32 bits.
+    /// Content of at most 32 bits.
     fn inlined(self) -> [u8; 4] {
         (self.0 as u32).to_le_bytes()
     }
 }
 
-/// What numbers a type is made of, how many of them to a row, and rows.
+/// Number type of which rows of a type consist.
 #[derive(Clone, Copy)]
 enum Number {
     Byte,
@@ -69,7 +70,7 @@ impl Number {
     }
 }
 
-/// Of a type's number in the file: its numbers, how many, and whether they are a square matrix.
+/// For a type's number in the file: number type, count per row, and whether the row is a square matrix.
 fn numeric(kind: u8) -> Option<(Number, usize, bool)> {
     use Number::{Byte, Double, Float, Half, Int, Int64, Unsigned};
     Some(match kind {
@@ -91,7 +92,7 @@ fn numeric(kind: u8) -> Option<(Number, usize, bool)> {
 }
 
 impl Crate<'_> {
-    /// A value; `None` for those of types that nothing here needs.
+    /// Reads a value; `None` for types that are not needed here.
     pub(super) fn value(&mut self, rep: Rep) -> Result<Option<Value>, Fault> {
         if let Some((number, width, is_matrix)) = numeric(rep.kind()) {
             if rep.is_array() {
@@ -118,7 +119,7 @@ impl Crate<'_> {
                 self.list(&indices, |c, i| match kind {
                     10 => c.string(i).map(Value::Text),
                     11 => c.token(i).map(Value::Text),
-                    // In arrays alone are these strings.
+                    // Strings in arrays only.
                     _ => c.string(i).map(Value::Asset),
                 })?
             }
@@ -136,19 +137,20 @@ impl Crate<'_> {
                 self.list(&indices, |c, i| c.token(i).map(Value::Text))?
             }
             (31, false) => Value::Dictionary(if rep.is_inlined() { vec![] } else { self.entries(rep)? }),
-            // Specifier, variability: numbers of their own.
+            // Specifier and variability are enumerations.
             (42 | 44, false) => Value::Number(f64::from(rep.inlined()[0])),
-            // References, variants, payloads: that they are there is enough.
+            // Of references, variants and payloads only their presence matters.
             (33 | 35 | 45 | 47 | 55, _) => Value::List(vec![]),
             (51, _) => Value::Blocked,
             _ => return Ok(None),
         }))
     }
 
-    /// The entries of a dictionary. Only texts have values: those of others nobody asks for, and dictionaries could hold themselves.
+    /// Entries of a dictionary. Only texts get values: others are not needed, and dictionaries could contain
+    /// themselves.
     fn entries(&mut self, rep: Rep) -> Result<Vec<Entry>, Fault> {
         let mut cursor = self.at(rep.payload())?;
-        // An index, an offset, and a value where that leads.
+        // Each entry is an index and an offset, which leads to a value.
         let count = cursor.count(20)?;
         let mut entries = vec![];
         for _ in 0..count {
@@ -165,7 +167,7 @@ impl Crate<'_> {
         Ok(entries)
     }
 
-    /// Times and values of an animated attribute; of arrays the first two.
+    /// Times and values of an animated attribute; for arrays, only the first two.
     pub(super) fn samples(&mut self, rep: Rep) -> Result<Vec<(f64, Value)>, Fault> {
         if rep.kind() != 46 || rep.is_inlined() {
             return Ok(vec![]);
@@ -175,14 +177,14 @@ impl Crate<'_> {
         let times = Rep(cursor.u64()?);
         cursor.follow()?;
         let count = cursor.count(8)?;
-        // The list of times is a vector (48) that lies there like an array of doubles.
+        // The list of times is a vector (type 48), stored like an array of doubles.
         let mut at_times = self.at(times.payload())?;
         let times = at_times.count(8)?.min(count);
         let mut samples = vec![];
         for i in 0..times {
             let time = f64::from_le_bytes(*at_times.chunk()?);
             let value = Rep(cursor.u64()?);
-            // Of what deforms, that it does is enough; cameras are followed.
+            // For deforming geometry it suffices to know that it deforms; cameras need all samples.
             if i >= 2 && value.is_array() {
                 break;
             }
@@ -196,7 +198,7 @@ impl Crate<'_> {
         let mut values = vec![];
         for &index in indices {
             let value = of(self, index)?;
-            // Many entries can name one long text.
+            // Many entries can refer to one long text.
             self.spend(PER_VALUE + value.as_text().map_or(0, str::len) / 8)?;
             values.push(value);
         }
@@ -218,7 +220,7 @@ impl Crate<'_> {
         match number {
             Number::Int => Ok(Value::Integers(cursor.integers(count)?.into_iter().map(i64::from).collect())),
             Number::Unsigned => {
-                // 32 bits without a sign.
+                // Unsigned 32-bit integers.
                 let bits = cursor.integers(count)?.into_iter();
                 Ok(Value::Integers(bits.map(|v| i64::from(v as u32)).collect()))
             }
@@ -265,8 +267,8 @@ fn rows<const N: usize>(bytes: &[u8]) -> &[[u8; N]] {
     bytes.as_chunks().0
 }
 
-/// A value in the 32 bits of its rep: doubles as floats, 64-bit integers in 32, vectors and the diagonals of matrices
-/// in bytes.
+/// Value inlined in the 32 bits of its representation: doubles as floats, 64-bit integers in 32 bits, vectors and the
+/// diagonals of matrices in bytes.
 fn inlined(bits: [u8; 4], number: Number, width: usize, is_matrix: bool) -> Value {
     let small = |i: usize| bits.get(i).map_or(0, |&b| i64::from(b as i8));
     let all: Vec<i64> = match (number, width, is_matrix) {
@@ -287,7 +289,7 @@ fn inlined(bits: [u8; 4], number: Number, width: usize, is_matrix: bool) -> Valu
     }
 }
 
-/// Quaternions lie with their real part last; text, and a document, have it first.
+/// Reorders quaternions, which are stored with the real part last, while text and documents have it first.
 fn reordered(kind: u8, value: Value) -> Value {
     fn turned<T>(mut all: Vec<T>) -> Vec<T> {
         all.as_chunks_mut::<4>().0.iter_mut().for_each(|q| q.rotate_right(1));

@@ -1,4 +1,4 @@
-//! Buffer views and accessors: ranges, alignment, values.
+//! Validation of buffer views and accessors: ranges, alignment, values.
 
 use serde_json::Value;
 
@@ -18,14 +18,14 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (i, (at, accessor)) in objects(document.root, "accessors", "").enumerate() {
         check_layout(document, accessor, &at, findings);
         check_sparse(document, i, accessor, &at, findings);
-        // Bounds of what is not stored may be any (glTF 2.0, 3.6.2.5).
+        // Bounds of accessors without stored data are unconstrained (glTF 2.0, 3.6.2.5).
         if let Some(elements) = document.elements(i).filter(Elements::is_stored) {
             check_values(&elements, accessor, &at, findings);
         }
     }
 }
 
-/// Reports an accessor that lacks bounds where glTF demands them (2.0, 3.6.2.5).
+/// Reports an accessor that lacks bounds where glTF requires them (2.0, 3.6.2.5).
 pub(super) fn check_bounds(
     document: &Document<'_>,
     accessor: usize,
@@ -111,7 +111,7 @@ fn check_values(elements: &Elements<'_>, accessor: &Value, at: &str, findings: &
         (numbers.len() == elements.components).then(|| numbers.iter().map(|n| n.as_f64().unwrap_or(f64::NAN)).collect())
     };
     let declared: [Option<Vec<f64>>; 2] = [bound("min"), bound("max")];
-    // Integers are always finite; where no bounds are declared there is nothing to compare.
+    // Integers are always finite; without declared bounds there is nothing to compare.
     if elements.kind != Component::Float && declared.iter().all(Option::is_none) {
         return;
     }

@@ -1,4 +1,4 @@
-//! Splats bound to triangles.
+//! Validation of splats bound to triangles.
 
 use serde_json::Value;
 
@@ -25,7 +25,7 @@ pub(super) fn check(document: &Document<'_>, primitive: &Value, binding: &Value,
     check_triangles(document, bound, binding, at, findings);
 }
 
-/// The accessors: one element per splat, of the right types.
+/// Checks the accessors: one element per splat, of the required types.
 fn check_poses(document: &Document<'_>, primitive: &Value, binding: &Value, at: &str, findings: &mut Findings) {
     let splats = document.positions(primitive).map_or(0, |p| p.count);
     let elements = |key: &str| index(binding, key).and_then(|i| document.elements(i));
@@ -59,7 +59,7 @@ fn check_poses(document: &Document<'_>, primitive: &Value, binding: &Value, at: 
     }
 }
 
-/// Whether the triangles of the primitive `bound` are those that the binding was made for.
+/// Checks that the triangles of the primitive `bound` are those for which the binding was made.
 fn check_triangles(document: &Document<'_>, bound: &Value, binding: &Value, at: &str, findings: &mut Findings) {
     let Some(positions) = document.positions(bound) else { return };
     let indices = match index(bound, "indices") {

@@ -1,4 +1,4 @@
-//! The GLB container and the JSON text.
+//! Validation of the GLB container and of the JSON text.
 
 use serde_json::Value;
 
@@ -9,14 +9,14 @@ use crate::format::gltf::write_as_integers;
 const JSON: u32 = 0x4E4F_534A;
 const BIN: u32 = 0x004E_4942;
 
-/// What a file is made of.
+/// Parts of a file.
 pub(super) struct Parts<'a> {
     pub(super) root: Value,
     /// Content of the binary chunk of a GLB.
     pub(super) bin: Option<&'a [u8]>,
 }
 
-/// Parses the JSON; `None` (with findings) if there is none to be had.
+/// Parses the JSON; `None` (with findings) if that is impossible.
 pub(super) fn open<'a>(bytes: &'a [u8], findings: &mut Findings) -> Option<Parts<'a>> {
     let (json, start, bin) = if bytes.starts_with(b"glTF") { chunks(bytes, findings)? } else { (bytes, 0, None) };
     match serde_json::from_slice(json) {
@@ -41,7 +41,7 @@ fn byte(offset: usize) -> Location {
     Location::Byte(offset as u64)
 }
 
-/// JSON, its offset, and the binary chunk.
+/// JSON text, its offset, and the binary chunk.
 #[expect(clippy::type_complexity, reason = "taken apart at once by the only caller")]
 fn chunks<'a>(bytes: &'a [u8], findings: &mut Findings) -> Option<(&'a [u8], usize, Option<&'a [u8]>)> {
     let word = |offset: usize| bytes.get(offset..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b));

@@ -1,4 +1,4 @@
-//! Buffers, and accessors as numbers.
+//! Buffers, and numeric access to accessors.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -12,22 +12,22 @@ use crate::format::error::{Fault, Location};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, extension_of};
 use crate::format::gltf::{Loaded, meshopt::decompress};
 
-/// Elements that an accessor may have without as many bytes behind it.
+/// Number of elements that an accessor may have without a proportional number of stored bytes.
 const FEW: usize = 1 << 16;
 
-/// A document with its buffers.
+/// Document with its buffers.
 pub(super) struct Document<'a> {
     pub(super) root: &'a Value,
-    /// `None` where the content could not be had.
+    /// Content of each buffer; `None` where it is unavailable.
     buffers: Vec<Option<Content>>,
-    /// Buffer views that are stored compressed, decompressed.
+    /// Decompressed buffer views, by index.
     plain_views: HashMap<usize, Vec<u8>>,
-    /// Accessors that an extension of a primitive may have the values of.
+    /// Accessors whose values an extension of a primitive may provide.
     supplied: HashSet<usize>,
     pub(super) folder: &'a Path,
 }
 
-/// What a buffer holds of a file, which others may hold, too.
+/// Content of a buffer: part of a file that other buffers may share.
 struct Content {
     file: Arc<Vec<u8>>,
     length: usize,
@@ -39,13 +39,13 @@ impl Content {
     }
 }
 
-/// An accessor whose range lies in its buffer.
+/// Accessor whose range lies within its buffer.
 pub(super) struct Elements<'a> {
     pub(super) count: usize,
     pub(super) components: usize,
     pub(super) kind: Component,
     pub(super) normalized: bool,
-    /// `None`: all zero but for the sparse elements, if there are any.
+    /// Stored elements; `None`: all zeros, except for sparse elements.
     base: Option<Run<'a>>,
     sparse: Option<Sparse<'a>>,
 }
@@ -59,11 +59,11 @@ struct Sparse<'a> {
 struct Run<'a> {
     bytes: &'a [u8],
     stride: usize,
-    /// Bytes from the start of a column of a matrix to that of the next, and components of a column.
+    /// Matrix columns: stride in bytes, and components per column.
     columns: Option<(usize, usize)>,
 }
 
-/// A component type of glTF.
+/// Component type of glTF.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Component {
     Byte,
@@ -107,7 +107,7 @@ impl Component {
         }
     }
 
-    /// `b` begins with the component.
+    /// Decodes the component at the start of `b`.
     fn decode(self, b: &[u8]) -> f64 {
         match self {
             Self::Byte => f64::from(b[0] as i8),
@@ -121,7 +121,7 @@ impl Component {
 }
 
 impl Elements<'_> {
-    /// Whether any value is in a buffer.
+    /// Whether any value is stored in a buffer.
     pub(super) fn is_stored(&self) -> bool {
         self.base.is_some() || self.sparse.is_some()
     }
@@ -142,7 +142,7 @@ impl Elements<'_> {
         self.base.as_ref().map_or(0.0, |base| base.get(i, c, self.kind))
     }
 
-    /// Component `c` of element `i`, normalised where the accessor says so.
+    /// Component `c` of element `i`, normalised if the accessor says so.
     pub(super) fn value(&self, i: usize, c: usize) -> f64 {
         let raw = self.raw(i, c);
         if self.normalized { (raw / self.kind.largest()).max(-1.0) } else { raw }
@@ -164,7 +164,7 @@ impl Run<'_> {
     }
 }
 
-/// Components of a type.
+/// Number of components of a type.
 pub(super) fn components(kind: &str) -> Option<usize> {
     Some(match kind {
         "SCALAR" => 1,
@@ -177,7 +177,7 @@ pub(super) fn components(kind: &str) -> Option<usize> {
     })
 }
 
-/// Bytes of an element, and its columns if they are padded: each begins at a multiple of 4 (glTF 2.0, 3.6.2.4).
+/// Size of an element in bytes, and its columns if they are padded: each begins at a multiple of 4 (glTF 2.0, 3.6.2.4).
 fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usize)>)> {
     let rows = match kind {
         "MAT2" => 2,
@@ -189,7 +189,8 @@ fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usi
     Some((rows * column, Some((column, rows))))
 }
 
-/// Accessors of primitives with an extension that may have their values, as compressions do: what is not stored is not zero.
+/// Accessors of primitives with an extension that may provide their values, such as compression: values that are not
+/// stored are then not zero.
 fn supplied(root: &Value) -> HashSet<usize> {
     let has_others = |object: &Value, known: &[&str]| {
         let names = object.get("extensions").and_then(Value::as_object);
@@ -208,7 +209,7 @@ fn supplied(root: &Value) -> HashSet<usize> {
 }
 
 impl<'a> Document<'a> {
-    /// Loads the buffers, and reports those that are missing or too short.
+    /// Loads the buffers, and reports missing or too short ones.
     pub(super) fn load(root: &'a Value, bin: Option<&[u8]>, folder: &'a Path, findings: &mut Findings) -> Self {
         let (mut buffers, mut loaded): (Vec<Option<Content>>, _) = (vec![], Loaded::default());
         for (at, buffer) in super::objects(root, "buffers", "") {
@@ -220,7 +221,7 @@ impl<'a> Document<'a> {
                     .map_err(|(expected, found)| findings.error("BUFFER_URI", format!("{at}/uri"), expected, found))
                     .ok(),
                 (None, Some(bin)) => {
-                    // Up to three bytes of padding end the chunk.
+                    // The chunk ends with up to three bytes of padding.
                     if bin.len() > needed.saturating_add(3) {
                         let expected =
                             format!("{needed} bytes in the binary chunk, as declared, and up to 3 of padding");
@@ -262,18 +263,18 @@ impl<'a> Document<'a> {
         Self { root, buffers, plain_views, supplied: supplied(root), folder }
     }
 
-    /// True if `name` stands in `extensionsUsed`.
+    /// Whether `name` is listed in `extensionsUsed`.
     pub(super) fn uses(&self, name: &str) -> bool {
         let used = self.root.get("extensionsUsed").and_then(Value::as_array);
         used.is_some_and(|used| used.iter().any(|n| n == name))
     }
 
-    /// An object of one of the root's arrays.
+    /// Object in one of the root's arrays.
     pub(super) fn object(&self, array: &str, i: usize) -> Option<&'a Value> {
         self.root.get(array)?.get(i)
     }
 
-    /// Length of a buffer if its content is there.
+    /// Length of a buffer whose content is available.
     pub(super) fn buffer_length(&self, i: usize) -> Option<usize> {
         self.buffers.get(i)?.as_ref().map(|content| content.length)
     }
@@ -310,7 +311,7 @@ impl<'a> Document<'a> {
             Some(sparse) => Some(self.sparse(sparse, kind, shape)?),
             None => None,
         };
-        // What is stored nowhere is zero. Without any bytes behind it, a count could be any number.
+        // Accessors without stored data are zero; limited, because the count could be any number.
         let stored = self.buffers.iter().flatten().map(|content| content.length);
         let stored = stored.chain(self.plain_views.values().map(Vec::len)).sum::<usize>();
         if base.is_none() && (sparse.is_none() && is_supplied || count > stored.max(FEW)) {
@@ -330,7 +331,7 @@ impl<'a> Document<'a> {
         Some(Sparse { indices, values: self.run(index(values, "bufferView")?, offset(values), count, kind, shape)? })
     }
 
-    /// Indices of a sparse accessor, and how many elements it has.
+    /// Indices of a sparse accessor, and its number of elements.
     pub(super) fn sparse_indices(&self, accessor: usize) -> Option<(Vec<u32>, usize)> {
         let accessor = self.object("accessors", accessor)?;
         let kind = Component::of(accessor.get("componentType")?.as_u64()?)?;
@@ -346,7 +347,7 @@ impl<'a> Document<'a> {
         (stride >= size && needed <= bytes.len()).then_some(Run { bytes, stride, columns })
     }
 
-    /// What an accessor's (or sparse part's) range is wrong about: expectation and finding.
+    /// Fault in the range of an accessor (or of its sparse part): expectation and finding.
     pub(super) fn range_fault(
         &self,
         view: usize,

@@ -1,4 +1,4 @@
-//! Which extensions are used, declared and understood.
+//! Validation of extensions: used, declared and supported.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use super::super::Findings;
 use super::schema::escaped;
 use crate::format::gltf::expected_for;
 
-/// Extensions that change what is allowed without an object anywhere.
+/// Extensions that relax rules without an object of their own.
 const WITHOUT_OBJECT: [&str; 1] = ["KHR_mesh_quantization"];
 
 pub(super) fn check(root: &Value, findings: &mut Findings) {
@@ -34,7 +34,7 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
     }
 }
 
-/// Extensions that are required, and that Centaur does not know.
+/// Reports required extensions that Centaur does not support.
 pub(super) fn check_support(root: &Value, findings: &mut Findings) {
     for (i, name) in strings(root, "extensionsRequired").iter().enumerate() {
         if let Some(expected) = expected_for(name) {
@@ -52,7 +52,7 @@ fn strings<'a>(root: &'a Value, key: &str) -> Vec<&'a str> {
     root.get(key).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect()
 }
 
-/// Every extension's name with the place of its first object. Within `extras` anything goes.
+/// Collects every extension's name with the place of its first object. Content of `extras` is unconstrained.
 fn walk<'a>(value: &'a Value, at: &mut String, present: &mut BTreeMap<&'a str, String>) {
     let length = at.len();
     match value {

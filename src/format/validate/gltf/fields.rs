@@ -1,4 +1,4 @@
-//! The deformation fields of `EXT_gaussian_splatting_hybrid`: sizes of planes and layers.
+//! Validation of the deformation fields of `EXT_gaussian_splatting_hybrid`: sizes of planes and layers.
 
 use serde_json::Value;
 
@@ -8,7 +8,7 @@ use super::splats::check_token;
 use super::{index, objects};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS};
 
-/// Axes of the planes in order: xy, xz, xt, yz, yt, zt.
+/// Axes of the planes, in order: xy, xz, xt, yz, yt, zt.
 const PLANES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 
 pub(super) fn check(document: &Document<'_>, own: &Value, at: &str, findings: &mut Findings) {
@@ -41,14 +41,14 @@ pub(super) fn check(document: &Document<'_>, own: &Value, at: &str, findings: &m
     }
 }
 
-/// Whether the field that deforms a primitive changes as many SH coefficients as its splats have.
+/// Checks that the field that deforms a primitive changes as many SH coefficients as its splats have.
 pub(super) fn check_degree(root: &Value, primitive: &Value, bound: &Value, at: &str, findings: &mut Findings) {
     let field = index(bound, "deformation")
         .and_then(|i| root.pointer(&format!("/extensions/{HYBRID}/deformationFields/{i}/heads/sphericalHarmonics")));
     let Some(outputs) = field.and_then(|layers| index(layers.as_array()?.last()?, "outputs")) else { return };
     let prefix = format!("{KHR_SPLATS}:SH_DEGREE_");
     let attributes = primitive.get("attributes").and_then(Value::as_object).into_iter().flatten();
-    // Compressed splats have them elsewhere.
+    // Compressed splats store coefficients elsewhere.
     let stored = attributes.filter(|(name, _)| name.starts_with(&prefix)).count();
     if stored > 0 && outputs != 3 * stored {
         let expected = format!("a field of {} outputs for {stored} SH coefficients", 3 * stored);
@@ -79,7 +79,7 @@ fn check_planes(document: &Document<'_>, level: &Value, features: usize, at: &st
     }
 }
 
-/// Returns the outputs of the last of the layers called `key`; `None` if there is none.
+/// Checks layers, and returns the number of outputs of the last of those called `key`; `None` if there are none.
 fn check_layers(
     document: &Document<'_>,
     parent: &Value,

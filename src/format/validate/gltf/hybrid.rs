@@ -1,4 +1,4 @@
-//! `EXT_gaussian_splatting_hybrid`: schemas, and what they cannot say.
+//! Validation of `EXT_gaussian_splatting_hybrid`: by schemas, and by rules beyond them.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -15,7 +15,7 @@ use crate::format::error::shown;
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM, extension_of};
 use crate::scene::ColorSpace;
 
-/// The objects of the extension in a document, each with its JSON pointer and the name of its schema.
+/// Objects of the extension in a document, each with its JSON pointer and the name of its schema.
 fn parts<'a>(root: &'a Value) -> Vec<(String, &'a Value, String)> {
     let mut found = vec![];
     let mut add = |object: Option<(String, &'a Value)>, of: &str| {
@@ -32,7 +32,7 @@ fn parts<'a>(root: &'a Value) -> Vec<(String, &'a Value, String)> {
     found
 }
 
-/// Every property of the extension's objects that it does not have.
+/// Properties of the extension's objects that it does not define.
 pub(super) fn unknown(root: &Value) -> Vec<Unknown> {
     let mut found = vec![];
     parts(root).iter().for_each(|(at, part, name)| schema::unknown(part, name, at, &mut found));
@@ -90,7 +90,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     }
 }
 
-/// What the nodes of a scene show: indices of meshes, and of the materials that these have.
+/// Content of a scene's nodes: indices of meshes and of their materials.
 #[derive(Default)]
 struct Reached {
     meshes: BTreeSet<usize>,
@@ -118,7 +118,8 @@ impl Reached {
     }
 }
 
-/// Splats and other primitives in one mesh of a scene that says how they are blended: some viewers refuse the whole file.
+/// Reports meshes with both splats and other primitives in a scene with a stated composition: some viewers reject the
+/// whole file.
 fn check_mixed(root: &Value, composed: &BTreeSet<usize>, findings: &mut Findings) {
     for (_, (at, mesh)) in objects(root, "meshes", "").enumerate().filter(|(i, _)| composed.contains(i)) {
         let parts = || objects(mesh, "primitives", &at).map(|(at, p)| extension(p, KHR_SPLATS, &at).is_some());
@@ -190,11 +191,11 @@ fn check_material(
     check_coordinates(radiance.get("opacity"), harmonics, &at, findings);
 }
 
-/// Where a texel source lies.
+/// UV mapping of a texel source.
 #[derive(PartialEq)]
 struct Coordinates {
     set: usize,
-    /// Offset, scale, rotation.
+    /// Offset, scale and rotation.
     transform: [f64; 5],
 }
 
@@ -214,7 +215,7 @@ impl Coordinates {
     }
 }
 
-/// One set and one transform for all.
+/// Checks that all sources have the same set of coordinates and the same transform.
 fn check_coordinates(opacity: Option<&Value>, harmonics: &Value, at: &str, findings: &mut Findings) {
     let mut sources = objects(harmonics, "coefficients", at);
     let Some((_, first)) = sources.next() else { return };
@@ -229,7 +230,7 @@ fn check_coordinates(opacity: Option<&Value>, harmonics: &Value, at: &str, findi
     }
 }
 
-/// One size for coefficient 0 and the opacity, one for all other coefficients.
+/// Checks sizes: one for coefficient 0 and the opacity, one for all other coefficients.
 fn check_sizes(
     pictures: &mut Pictures<'_>,
     (opacity, harmonics): (Option<&Value>, &Value),
@@ -253,7 +254,8 @@ fn check_sizes(
     }
 }
 
-/// What a texel source has of a texture or of an accessor alone, beside the other: viewers pass over it.
+/// Reports properties that apply to a texture or an accessor only, in a texel source that has the other one: viewers
+/// ignore them.
 fn check_strays(source: &Value, at: &str, findings: &mut Findings) {
     let (form, strays): (&str, &[&str]) = match source.get("texture") {
         Some(_) => ("a texture", &["width", "height", "sampler", "texCoord"]),
@@ -265,7 +267,7 @@ fn check_strays(source: &Value, at: &str, findings: &mut Findings) {
     }
 }
 
-/// A texel source with `channels` values per texel, of a material of these primitives.
+/// Checks a texel source with `channels` values per texel, of a material of these primitives.
 fn check_texels(
     document: &Document<'_>,
     pictures: &mut Pictures<'_>,
@@ -275,7 +277,7 @@ fn check_texels(
     findings: &mut Findings,
 ) {
     if source.get("accessor").is_some() == source.get("texture").is_some() {
-        // The schema has said so; what the one or the other should be like is anybody's guess.
+        // Reported by the schema already; further rules depend on which of both is meant.
         return;
     }
     check_strays(source, at, findings);

@@ -1,4 +1,4 @@
-//! glTF 2.0 and the splat extensions.
+//! Validation of glTF 2.0 and its splat extensions.
 
 mod accessors;
 mod binding;
@@ -25,7 +25,7 @@ use super::Findings;
 use crate::format::error::shown;
 use crate::format::gltf::extension::{HYBRID, extension_of};
 
-/// Checks a `.glb` or `.gltf`; `folder` is where its buffers and images may lie.
+/// Checks a `.glb` or `.gltf`; `folder` may contain its buffers and images.
 pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     let Some(container::Parts { root, bin }) = container::open(bytes, findings) else { return };
     schema::check(&root, "glTF", "", findings);
@@ -38,13 +38,13 @@ pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     moving::check(&document, findings);
     splats::check(&document, findings);
     hybrid::check(&document, findings);
-    // Where the structure is sound, a reader may still lack something.
+    // A sound file may still require features that a reader lacks.
     if !findings.has_errors() {
         extensions::check_support(&root, findings);
     }
 }
 
-/// What is to be said of each property of the hybrid extension's objects that it does not have.
+/// Warnings on properties of the hybrid extension's objects that it does not define, one each.
 pub(super) fn unknown_properties(root: &Value) -> Vec<String> {
     let said = |schema::Unknown { at, name, .. }| {
         format!("{at}: {} is no property of {HYBRID} and is ignored", shown(name.as_bytes()))
@@ -52,24 +52,24 @@ pub(super) fn unknown_properties(root: &Value) -> Vec<String> {
     hybrid::unknown(root).into_iter().map(said).collect()
 }
 
-/// The objects of the array `key`, each with its JSON pointer.
+/// Objects of the array `key`, each with its JSON pointer.
 fn objects<'a>(parent: &'a Value, key: &str, at: &str) -> impl Iterator<Item = (String, &'a Value)> {
     let prefix = format!("{at}/{key}");
     let items = parent.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     items.iter().enumerate().map(move |(i, item)| (format!("{prefix}/{i}"), item))
 }
 
-/// A non-negative integer property.
+/// Non-negative integer property.
 fn index(object: &Value, key: &str) -> Option<usize> {
     object.get(key).and_then(Value::as_u64).and_then(|i| usize::try_from(i).ok())
 }
 
-/// All primitives of all meshes.
+/// All primitives of all meshes, each with its JSON pointer.
 fn primitives(root: &Value) -> impl Iterator<Item = (String, &Value)> {
     objects(root, "meshes", "").flat_map(|(at, mesh)| objects(mesh, "primitives", &at).collect::<Vec<_>>())
 }
 
-/// An extension of an object, with its JSON pointer.
+/// Extension of an object, with its JSON pointer.
 fn extension<'a>(object: &'a Value, name: &str, at: &str) -> Option<(String, &'a Value)> {
     Some((format!("{at}/extensions/{name}"), extension_of(object, name)?))
 }

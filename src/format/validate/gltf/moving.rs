@@ -1,4 +1,4 @@
-//! What moves in core glTF: skins, morph targets and animations.
+//! Validation of animated content of core glTF: skins, morph targets and animations.
 
 use std::collections::HashSet;
 
@@ -9,12 +9,12 @@ use super::accessors::check_bounds;
 use super::document::{Component, Document, Elements};
 use super::{index, objects, primitives};
 
-/// Least sum of a vertex's weights that is not nothing.
+/// Least sum of a vertex's weights that counts as non-zero.
 const LEAST_WEIGHT: f64 = 1e-6;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     check_skins(document, findings);
-    // Each mesh once for each skin that it has, however many nodes there are of it.
+    // Every pair of mesh and skin is checked once, regardless of the number of its nodes.
     let mut checked = HashSet::new();
     for (at, node) in objects(document.root, "nodes", "") {
         if let Some(pair) = index(node, "mesh").zip(index(node, "skin")).filter(|pair| checked.insert(*pair)) {
@@ -39,7 +39,7 @@ fn check_skins(document: &Document<'_>, findings: &mut Findings) {
     }
 }
 
-/// The joints and weights of what a node with a skin shows.
+/// Checks the joints and weights of the mesh of a node with a skin.
 fn check_bound(document: &Document<'_>, (i, skin): (usize, usize), at: &str, findings: &mut Findings) {
     let (Some(mesh), Some(skin)) = (document.object("meshes", i), document.object("skins", skin)) else { return };
     let joints = skin.get("joints").and_then(Value::as_array).map_or(0, Vec::len);
@@ -61,7 +61,7 @@ fn check_bound(document: &Document<'_>, (i, skin): (usize, usize), at: &str, fin
             let bound = || {
                 sets.iter().flat_map(|(joints, weights)| joints.vector::<4>(v).into_iter().zip(weights.vector::<4>(v)))
             };
-            // What a joint without weight is called does not matter.
+            // Indices of joints with zero weight need not be valid.
             if let Some((joint, _)) = bound().find(|&(joint, weight)| weight != 0.0 && joint >= joints as f64) {
                 beyond.note(|| format!("{joint} at vertex {v}"));
             }
@@ -110,7 +110,7 @@ fn check_targets(document: &Document<'_>, primitive: &Value, at: &str, findings:
 }
 
 fn check_animations(document: &Document<'_>, findings: &mut Findings) {
-    // Many samplers may have one.
+    // Many samplers may share an accessor.
     let mut bounded = HashSet::new();
     for (at, animation) in objects(document.root, "animations", "") {
         for (at, sampler) in objects(animation, "samplers", &at) {
@@ -136,7 +136,7 @@ fn check_channel(document: &Document<'_>, animation: &Value, channel: &Value, at
         let first = document.object("meshes", mesh)?.get("primitives")?.get(0)?;
         first.get("targets").and_then(Value::as_array).map(Vec::len)
     };
-    // Elements for each key, and components of each.
+    // Elements per key, and components of each.
     let (elements, components) = match path {
         "translation" | "scale" => (Some(1), 3),
         "rotation" => (Some(1), 4),

@@ -1,4 +1,4 @@
-//! Images: whether they are what they are said to be, and what their first bytes say of maps.
+//! Validation of images: whether their content has the stated type, and whether their headers suit maps.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ use super::{index, objects};
 use crate::format::gltf::extension::{WEBP, extension_of};
 use crate::format::gltf::{media_type, resolve};
 
-/// Textures compressed for GPUs, with loss.
+/// Extension for lossily compressed GPU textures.
 const BASIS_UNIVERSAL: &str = "KHR_texture_basisu";
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
@@ -28,7 +28,7 @@ fn check_image(document: &Document<'_>, (i, image): (usize, &Value), at: &str, f
         Err((expected, found)) => return findings.error("IMAGE_URI", format!("{at}/uri"), expected, found),
     };
     let found = media_type(&content);
-    // What textures have in the core; an extension's is beside that, or in its place.
+    // Whether core textures use the image; an extension's image is additional to, or a replacement of, the core's.
     let is_of_core = || objects(document.root, "textures", "").any(|(_, t)| index(t, "source") == Some(i));
     let is_usual = found.is_some_and(|found| ["image/png", "image/jpeg"].contains(&found));
     let Some(found) = found.filter(|_| is_usual || !is_of_core()) else {
@@ -40,7 +40,7 @@ fn check_image(document: &Document<'_>, (i, image): (usize, &Value), at: &str, f
     }
 }
 
-/// The file of an image; `None` if the document does not say well where it is. On failure: what was expected, what was found.
+/// Content of an image; `None` if the document does not validly state its place. On failure: expectation and finding.
 fn content<'a>(document: &'a Document<'_>, image: &Value) -> Result<Option<Cow<'a, [u8]>>, (String, String)> {
     Ok(match (image.get("uri").and_then(Value::as_str), index(image, "bufferView")) {
         (Some(uri), None) => Some(Cow::Owned(resolve(uri, document.folder)?)),
@@ -49,17 +49,17 @@ fn content<'a>(document: &'a Document<'_>, image: &Value) -> Result<Option<Cow<'
     })
 }
 
-/// What matters of a picture that holds the texels of a map.
+/// Properties of an image that holds the texels of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Picture {
-    /// Width and height; `None` if they cannot be told.
+    /// Width and height; `None` if unknown.
     pub(super) size: Option<(usize, usize)>,
-    /// What has changed its texels, if anything.
+    /// Lossy step that has changed the texels, if any.
     pub(super) loss: Option<&'static str>,
 }
 
 impl Picture {
-    /// By the header of a file.
+    /// Reads the properties from a file's header.
     fn of(content: &[u8]) -> Self {
         let (size, loss) = match media_type(content) {
             Some("image/webp") => match image_webp::WebPDecoder::new(Cursor::new(content)) {
@@ -75,7 +75,7 @@ impl Picture {
         Self { size: size.map(|(width, height)| (width as usize, height as usize)), loss }
     }
 
-    /// That of a texture, as far as it can be read: images have findings of their own.
+    /// Properties of a texture's image, as far as it can be read: images have findings of their own.
     fn of_texture(document: &Document<'_>, texture: usize) -> Self {
         let Some(texture) = document.object("textures", texture) else { return Self::default() };
         if extension_of(texture, BASIS_UNIVERSAL).is_some() {
@@ -88,7 +88,7 @@ impl Picture {
     }
 }
 
-/// The pictures of a document, each looked at once.
+/// Images of a document, each inspected once.
 pub(super) struct Pictures<'a> {
     document: &'a Document<'a>,
     of_textures: HashMap<usize, Picture>,
@@ -99,13 +99,13 @@ impl<'a> Pictures<'a> {
         Self { document, of_textures: HashMap::new() }
     }
 
-    /// That of a texel source; `None` if it has no texture.
+    /// Properties of a texel source's image; `None` if it has no texture.
     pub(super) fn of(&mut self, source: &Value) -> Option<Picture> {
         let (document, texture) = (self.document, index(source.get("texture")?, "index")?);
         Some(*self.of_textures.entry(texture).or_insert_with(|| Picture::of_texture(document, texture)))
     }
 
-    /// Width and height of the map that a texel source is, as far as they can be told.
+    /// Width and height of the map in a texel source, if known.
     pub(super) fn size(&mut self, source: &Value) -> Option<(usize, usize)> {
         match source.get("texture") {
             Some(_) => self.of(source)?.size,

@@ -1,11 +1,11 @@
-//! Indices of one object into the array of another.
+//! Validation of indices that refer to objects in arrays.
 
 use serde_json::Value;
 
 use super::super::Findings;
 use super::schema::escaped;
 
-/// Where indices stand (`*` is any item or property), and the array they point into.
+/// Paths of index properties (`*` is any item or property), and the arrays to which they refer.
 const REFERENCES: [(&str, &str); 51] = [
     ("scene", "scenes"),
     ("scenes/*/nodes/*", "nodes"),
@@ -63,7 +63,7 @@ const REFERENCES: [(&str, &str); 51] = [
     ("extensions/EXT_gaussian_splatting_hybrid/deformationFields/*/heads/*/*/bias", "accessors"),
 ];
 
-/// What `KHR/` abbreviates.
+/// Path for which `KHR/` is an abbreviation.
 const KHR: &str = "meshes/*/primitives/*/extensions/KHR_gaussian_splatting/extensions/EXT_gaussian_splatting_hybrid/";
 
 pub(super) fn check(root: &Value, findings: &mut Findings) {
@@ -72,7 +72,7 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
         let length = root.pointer(&format!("/{target}")).and_then(Value::as_array).map_or(0, Vec::len);
         let steps: Vec<&str> = pattern.split('/').collect();
         visit(root, &steps, &mut String::new(), &mut |at, value| {
-            // Other types are the schema's concern.
+            // Other types are reported by the schema.
             if let Some(index) = value.as_u64()
                 && index >= length as u64
             {

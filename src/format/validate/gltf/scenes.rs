@@ -1,4 +1,4 @@
-//! Nodes and primitives of core glTF.
+//! Validation of nodes and primitives of core glTF.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +10,8 @@ use super::document::{Component, Document, Elements, components};
 use super::{extension, index, objects, primitives};
 use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
 
-/// How far from 1 the length of a unit vector or quaternion may be. 8-bit components are half a step of 1/127 off each.
+/// Largest deviation of a unit vector's or quaternion's norm from 1: 8-bit components are each off by up to half a step
+/// of 1/127.
 pub(super) const UNIT_TOLERANCE: f64 = 0.01;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
@@ -48,7 +49,7 @@ fn check_nodes(root: &Value, findings: &mut Findings) {
             findings.error("NODE_ROTATION", format!("{at}/rotation"), "a unit quaternion", format!("norm {norm:.4}"));
         }
     }
-    // Walks up from every node, but over no node twice.
+    // Walks up from every node, but visits no node twice.
     let mut walked_from = vec![None; nodes.len()];
     for start in 0..nodes.len() {
         let mut above = Some(start);
@@ -74,7 +75,8 @@ fn check_nodes(root: &Value, findings: &mut Findings) {
     }
 }
 
-/// Copies of a mesh: as many elements of each attribute, of the types that the extension has for where they are.
+/// Checks instances of a mesh: equally many elements of each attribute, and the extension's types for those that
+/// determine transforms.
 fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut Findings) {
     use Component::{Byte, Float, Short};
     let Some((at, copies)) = extension(node, INSTANCING, at) else { return };
@@ -106,7 +108,7 @@ fn numbers(value: Option<&Value>) -> Vec<f64> {
     value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64).collect()
 }
 
-/// Types and component types of an attribute of the core; `KHR_mesh_quantization` allows others.
+/// Types and component types of a core attribute; `KHR_mesh_quantization` allows others.
 fn attribute_rule(name: &str) -> Option<(&'static [&'static str], &'static [Component])> {
     use Component::{Float, UnsignedByte, UnsignedShort};
     let set = name.rsplit_once('_').filter(|(_, digits)| digits.bytes().all(|b| b.is_ascii_digit()));
@@ -169,7 +171,7 @@ fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, finding
     }
 }
 
-/// Every element of a vertex attribute begins at a multiple of 4 bytes of its view (glTF 2.0, 3.6.2.4).
+/// Checks that every element of a vertex attribute begins at a multiple of 4 bytes of its view (glTF 2.0, 3.6.2.4).
 fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -> String, findings: &mut Findings) {
     let kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
     let components = accessor.get("type").and_then(Value::as_str).and_then(components);
@@ -183,7 +185,7 @@ fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -
     }
 }
 
-/// A view in which several vertex attributes lie says how far apart their elements are (glTF 2.0, 3.6.2.4).
+/// Checks that a view shared by several vertex attributes states the stride of their elements (glTF 2.0, 3.6.2.4).
 fn check_strides(document: &Document<'_>, findings: &mut Findings) {
     let mut inside: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for (_, primitive) in primitives(document.root) {
@@ -212,7 +214,7 @@ fn check_indices(
     findings: &mut Findings,
 ) {
     let mode = index(primitive, "mode").unwrap_or(4);
-    // What cannot be read is not counted.
+    // Unreadable indices are not counted.
     let mut corners = if primitive.get("indices").is_none() { vertices } else { None };
     if let Some(accessor) = index(primitive, "indices")
         && let Some(elements) = document.elements(accessor)
@@ -247,7 +249,7 @@ fn check_indices(
     }
 }
 
-/// Reports vectors whose length is not 1.
+/// Reports vectors whose norm is not 1.
 pub(super) fn check_unit<const N: usize>(
     elements: Option<Elements<'_>>,
     at: &str,

@@ -1,6 +1,7 @@
-//! The part of JSON Schema (2020-12) that the schemas of glTF and of its extensions use.
+//! Validator for the part of JSON Schema (2020-12) that the schemas of glTF and of its extensions use.
 //!
-//! Half a page, in place of a crate with forty dependencies in the program; the tests hold it to that crate's answers.
+//! Half a page of code, in place of a crate with forty dependencies in the program; tests compare its answers with that
+//! crate's.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -9,9 +10,9 @@ use serde_json::{Map, Value};
 
 use super::super::Findings;
 
-/// Schemas by file name, as `$ref` says them.
+/// Schemas by file name, as used in `$ref`.
 static SCHEMAS: LazyLock<BTreeMap<String, Value>> = LazyLock::new(|| {
-    // What glTF itself demands, by our own hand; Khronos' schemas are split over seventy files.
+    // Rules of glTF itself, written by hand; Khronos' schemas are split over seventy files.
     let core: Map<String, Value> =
         serde_json::from_str(include_str!("core.schema.json")).expect("the embedded schemas are JSON objects");
     let mut schemas: BTreeMap<String, Value> = core.into_iter().collect();
@@ -29,7 +30,8 @@ macro_rules! hybrid_schemas {
     };
 }
 
-/// Whether a schema is one of the hybrid extension's: those of the core are in part only here, and say nothing of what else there is.
+/// Whether a schema is one of the hybrid extension's: those of the core are partial here, and do not list all
+/// properties.
 fn is_of_hybrid(schema: &Value) -> bool {
     schema.get("$id").is_some()
 }
@@ -51,24 +53,24 @@ const HYBRID_SCHEMAS: [&str; 14] = hybrid_schemas![
     "texelSource",
 ];
 
-/// Reports everything in `value`, which stands at the JSON pointer `at`, that the schema called `name` forbids.
+/// Reports everything in `value`, located at the JSON pointer `at`, that the schema called `name` forbids.
 pub(super) fn check(value: &Value, name: &str, at: &str, findings: &mut Findings) {
     if let Some(schema) = SCHEMAS.get(name) {
         apply(schema, value, at, findings);
     }
 }
 
-/// A property that no schema of its object knows.
+/// Property that no schema of its object defines.
 pub(super) struct Unknown {
     /// JSON pointer of the object.
     pub(super) at: String,
     pub(super) name: String,
-    /// What the object may have.
+    /// Properties that the object may have.
     pub(super) known: Vec<String>,
 }
 
-/// Adds every property in `value`, which stands at `at`, that the schema called `name` does not know: JSON Schema allows them, so
-/// that mistyped ones would go unseen.
+/// Collects every property in `value`, located at `at`, that the schema called `name` does not define: JSON Schema
+/// allows them, so mistyped ones would go unnoticed.
 pub(super) fn unknown(value: &Value, name: &str, at: &str, found: &mut Vec<Unknown>) {
     if let Some(schema) = SCHEMAS.get(name) {
         unknown_in(&[schema], value, at, found);
@@ -102,7 +104,7 @@ fn unknown_in<'a>(schemas: &[&'a Value], value: &Value, at: &str, found: &mut Ve
     }
 }
 
-/// A schema, and those that hold along with it.
+/// Collects a schema and those that apply in addition to it.
 fn flatten<'a>(schema: &'a Value, all: &mut Vec<&'a Value>) {
     all.push(schema);
     let referred = schema.get("$ref").and_then(Value::as_str).and_then(|name| SCHEMAS.get(name));
@@ -110,7 +112,7 @@ fn flatten<'a>(schema: &'a Value, all: &mut Vec<&'a Value>) {
     referred.into_iter().chain(parts).for_each(|part| flatten(part, all));
 }
 
-/// `~` and `/` escaped, as RFC 6901 asks.
+/// Key with `~` and `/` escaped, as RFC 6901 requires.
 pub(super) fn escaped(key: &str) -> String {
     key.replace('~', "~0").replace('/', "~1")
 }
@@ -123,7 +125,7 @@ fn apply(schema: &Value, value: &Value, at: &str, findings: &mut Findings) {
     if let Some(kind) = schema.get("type").and_then(Value::as_str)
         && !is_of(value, kind)
     {
-        // Nothing else can be said of a value of another type.
+        // No further rule applies to a value of another type.
         return findings.error("SCHEMA_TYPE", at, kind, shown(value));
     }
     if let Some(only) = schema.get("const")
@@ -156,7 +158,7 @@ fn apply(schema: &Value, value: &Value, at: &str, findings: &mut Findings) {
     }
 }
 
-/// True if `value` breaks no rule of `schema`.
+/// Whether `value` satisfies all rules of `schema`.
 fn holds(schema: &Value, value: &Value) -> bool {
     let mut findings = Findings::default();
     apply(schema, value, "", &mut findings);
@@ -227,7 +229,7 @@ fn is_of(value: &Value, kind: &str) -> bool {
         "string" => value.is_string(),
         "boolean" => value.is_boolean(),
         "number" => value.is_number(),
-        // 3.0 is an integer to JSON Schema.
+        // 3.0 is an integer in JSON Schema.
         "integer" => value.is_i64() || value.is_u64() || value.as_f64().is_some_and(|v| v.fract() == 0.0),
         _ => value.is_null(),
     }
@@ -237,13 +239,13 @@ fn equal(a: &Value, b: &Value) -> bool {
     a == b || a.as_f64().is_some_and(|a| b.as_f64() == Some(a))
 }
 
-/// The alternatives of a `oneOf` are told apart by what they require.
+/// Short description of a schema: the alternatives of a `oneOf` are distinguished by the properties they require.
 fn brief(schema: &Value) -> String {
     let required = schema.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str);
     format!("({})", required.collect::<Vec<_>>().join(", "))
 }
 
-/// A value in a message: whole where short.
+/// Value as text in a message: complete if short.
 pub(super) fn shown(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() <= 60 { text } else { format!("{}…", text.chars().take(60).collect::<String>()) }

@@ -1,4 +1,4 @@
-//! `KHR_gaussian_splatting`.
+//! Validation of `KHR_gaussian_splatting`.
 
 use serde_json::{Map, Value};
 
@@ -10,7 +10,7 @@ use super::{extension, index, primitives};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, OPACITY, ROTATION, SCALE, sh_attributes};
 use crate::scene::{ColorSpace, color, sh};
 
-/// Greatest difference of `COLOR_0` from what the splats show that rounding to 8 bits explains.
+/// Largest deviation of `COLOR_0` from the splats' colour that rounding to 8 bits explains.
 const FALLBACK_TOLERANCE: f64 = 1.5 / 255.0;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
@@ -21,7 +21,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
             if mode != 0 {
                 findings.error("SPLAT_MODE", format!("{at}/mode"), "0 (POINTS)", mode);
             }
-            // Compressed splats keep their attributes elsewhere; other kernels have others.
+            // Compressed splats store their attributes elsewhere, and other kernels have other attributes.
             let nested = khr.get("extensions").and_then(Value::as_object);
             let compressed = nested.is_some_and(|names| names.keys().any(|name| name != HYBRID));
             let known_kernel = khr.get("kernel").is_none_or(|kernel| kernel == "ellipse");
@@ -50,7 +50,7 @@ fn check_object(khr: &Value, at: &str, findings: &mut Findings) {
     }
 }
 
-/// Warns of a string that no specification at hand defines; extensions may add some.
+/// Warns of a string that no known specification defines; extensions may add some.
 pub(super) fn check_token(
     object: &Value,
     key: &str,
@@ -73,7 +73,7 @@ fn check_attributes(document: &Document<'_>, attributes: &Map<String, Value>, at
     let highest: u32 =
         attributes.keys().filter_map(|name| degree(name)).filter(|&d| d <= sh::MAX_DEGREE).max().unwrap_or(0);
     let harmonics: Vec<String> = sh_attributes(highest).collect();
-    // Name, type, types of float and of integers as they are, of normalised integers.
+    // Name, type, component types of floats and plain integers, component types of normalised integers.
     let rules: [(&str, &str, &[Component], &[Component]); 3] = [
         (ROTATION, "VEC4", &[Float], &[Byte, Short]),
         (SCALE, "VEC3", &[Float, UnsignedByte, UnsignedShort], &[UnsignedByte, UnsignedShort]),
@@ -128,7 +128,7 @@ fn check_values(document: &Document<'_>, attributes: &Map<String, Value>, at: &s
     check(OPACITY, "SPLAT_OPACITY_RANGE", "linear opacities from 0 to 1", |v| !(0.0..=1.0).contains(&v) && !v.is_nan());
 }
 
-/// `COLOR_0` is linear light whatever the splats are, which writers get wrong.
+/// Checks `COLOR_0`, which is linear light regardless of the splats' colour space; a common mistake of writers.
 fn check_fallback(
     document: &Document<'_>,
     attributes: &Map<String, Value>,

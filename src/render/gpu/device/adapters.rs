@@ -1,26 +1,26 @@
-//! Which adapters there are, what they can do, and which of them is meant.
+//! Enumeration of adapters, their capabilities, and the choice among them.
 
 use std::fmt;
 
 use super::error::GpuError;
 
-/// What shaders may use on this adapter.
+/// Capabilities of an adapter that shaders may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
     /// Subgroup operations.
     pub subgroups: bool,
     /// Timestamp queries.
     pub timestamps: bool,
-    /// A software adapter: lanes are few and memory is the host's.
+    /// Whether it is a software adapter: lanes are few and memory is the host's.
     pub is_cpu: bool,
 }
 
-/// One line of `centaur devices`.
+/// Description of an adapter: one line of `centaur devices`.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct AdapterSummary {
     /// Position in the list, from 0.
     pub index: usize,
-    /// PCI bus id, such as `0000:41:00.0`, where the driver tells it.
+    /// PCI bus id, such as `0000:41:00.0`, if the driver reports it.
     pub pci_bus_id: Option<String>,
     /// Name as the driver gives it.
     pub name: String,
@@ -30,7 +30,7 @@ pub struct AdapterSummary {
     pub kind: String,
     /// Driver name and version.
     pub driver: String,
-    /// Largest buffer a shader can bind, bytes.
+    /// Largest buffer that a shader can bind, bytes.
     pub max_binding_bytes: u64,
     /// Subgroup sizes, 0–0 if not supported.
     pub subgroup_size: (u32, u32),
@@ -38,7 +38,7 @@ pub struct AdapterSummary {
     pub timestamps: bool,
 }
 
-/// How to ask for it: `#0 NAME (0000:41:00.0)`.
+/// Formats as `#0 NAME (0000:41:00.0)`, each part of which selects the adapter.
 impl fmt::Display for AdapterSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "#{} {}", self.index, self.name)?;
@@ -54,15 +54,16 @@ fn instance() -> wgpu::Instance {
     wgpu::Instance::new(descriptor)
 }
 
-/// Storage buffers of the kernel that binds most (`blend_backward.wgsl` in training with layers).
+/// Storage buffers needed: those of the kernel that binds most (`blend_backward.wgsl` in training with layers).
 const STORAGE_BUFFERS: u32 = 12;
-/// Workgroup memory of the kernel that takes most (`loss.wgsl`), bytes, rounded up to what WebGPU promises.
+/// Workgroup memory needed, bytes: that of the kernel that uses most (`loss.wgsl`), rounded up to WebGPU's guaranteed
+/// limit.
 const WORKGROUP_BYTES: u32 = 16384;
 
 /// Threads of the largest workgroups.
 const WORKGROUP_THREADS: u32 = 256;
 
-/// What an adapter lacks for the kernels, if anything.
+/// Description of what an adapter lacks for the kernels, if anything.
 fn lack(limits: &wgpu::Limits) -> Option<String> {
     let needed = [
         (limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS, "storage buffers per shader stage"),
@@ -73,7 +74,8 @@ fn lack(limits: &wgpu::Limits) -> Option<String> {
     Some(format!("has {found} {what}, expected {expected}"))
 }
 
-/// What is asked of an adapter: of what other adapters may lack no more than kernels need, so that tests notice if one needs more.
+/// Limits to request: those that other adapters may lack no higher than kernels need, so that tests notice a kernel
+/// that needs more.
 pub(super) fn wanted_limits(of: &wgpu::Adapter) -> wgpu::Limits {
     wgpu::Limits {
         max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
@@ -82,12 +84,13 @@ pub(super) fn wanted_limits(of: &wgpu::Adapter) -> wgpu::Limits {
     }
 }
 
-/// Most bytes of a buffer that shaders see whole: they are told its size as u32, and Metal lets larger ones be bound.
+/// Largest buffer, bytes, that shaders see whole: its size is passed to them as u32, and Metal lets larger ones be
+/// bound.
 pub(super) fn max_binding_bytes(limits: &wgpu::Limits) -> u64 {
     limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(i32::MAX as u64)
 }
 
-/// Those that will do, best first, and why each of the others will not.
+/// Usable adapters, best first, and for each of the others why it is not.
 pub(super) fn adapters() -> (Vec<wgpu::Adapter>, Vec<String>) {
     let mut found = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
     let mut unfit = vec![];
@@ -120,7 +123,7 @@ pub fn survey_adapters() -> (Vec<AdapterSummary>, Vec<String>) {
     (summaries(&found), unfit)
 }
 
-/// In the same order.
+/// Summaries in the same order.
 pub(super) fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
     let summary = |(index, a): (usize, &wgpu::Adapter)| {
         let (info, features) = (a.get_info(), a.features());
@@ -140,7 +143,7 @@ pub(super) fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
     adapters.iter().enumerate().map(summary).collect()
 }
 
-/// The index of the adapter that is meant by `wanted`, as [`super::Gpu::open`] has it.
+/// Index of the adapter selected by `wanted`, as [`super::Gpu::open`] documents.
 pub(super) fn choose(wanted: Option<&str>, all: &[AdapterSummary], unfit: &[String]) -> Result<usize, GpuError> {
     if all.is_empty() {
         return Err(GpuError::NoAdapter { unfit: unfit.to_owned() });
@@ -158,13 +161,14 @@ pub(super) fn choose(wanted: Option<&str>, all: &[AdapterSummary], unfit: &[Stri
         wanted: wanted.to_owned(),
         available: {
             let named = all.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-            // What was asked for may be among them.
+            // The requested adapter may be among the unusable ones.
             unfit.iter().fold(named, |all, unfit| format!("{all}; {unfit}"))
         },
     })
 }
 
-/// Domain, bus, device and function. Programs differ in digits of the domain, which some leave out, and in case.
+/// Domain, bus, device and function of a PCI bus id. Programs differ in the digits of the domain, which some leave out,
+/// and in case.
 fn parse_bus_id(text: &str) -> Option<[u32; 4]> {
     let (rest, function) = text.rsplit_once('.')?;
     let (rest, device) = rest.rsplit_once(':')?;

@@ -1,4 +1,4 @@
-//! Buffers: allocated within limits, counted, written and read back.
+//! Buffers: allocation within limits, accounting, writing and reading back.
 
 use std::sync::{
     Arc, Mutex, PoisonError,
@@ -7,20 +7,20 @@ use std::sync::{
 
 use super::{Gpu, GpuError, host_memory::host_memory};
 
-/// Bytes that are allocated.
+/// Bytes allocated, at present and at most.
 #[derive(Default)]
 pub(super) struct Memory {
     pub(super) now: AtomicU64,
     pub(super) peak: AtomicU64,
 }
 
-/// A storage, uniform or copy buffer; freed and uncounted when it and all bindings to it are dropped.
+/// A storage, uniform or copy buffer; freed and no longer counted when it and all bindings to it are dropped.
 pub(crate) struct Buffer {
     pub(super) raw: wgpu::Buffer,
     pub(super) allocation: Arc<Allocation>,
 }
 
-/// Bytes that are counted as long as anything holds them.
+/// Bytes counted as long as anything holds this.
 pub(super) struct Allocation {
     bytes: u64,
     memory: Arc<Memory>,
@@ -32,16 +32,16 @@ impl Drop for Allocation {
     }
 }
 
-/// Bytes of the buffers by which free memory is found.
+/// Size of the buffers that probe free memory, bytes.
 const PROBE: u64 = 256 << 20;
-/// Most bytes of one upload that wait together for their way to the adapter: copies of them do, outside of what is counted.
+/// Largest part of one upload, bytes, that is staged at once: the driver keeps uncounted copies of staged data.
 const STAGED: usize = 256 << 20;
 
 impl Gpu {
-    /// Error if a shader cannot bind a buffer of so many bytes.
+    /// Checks that a shader can bind a buffer of this many bytes.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`], for `what`.
+    /// [`GpuError::TooLarge`], naming `what`.
     pub(crate) fn ensure_bindable(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
         let limit = self.max_binding_bytes();
         if bytes <= limit {
@@ -51,11 +51,11 @@ impl Gpu {
         Err(GpuError::TooLarge { what, needed: bytes >> 20, limit: limit >> 20, adapter })
     }
 
-    /// Error if the adapter cannot hold `bytes` more. Memory that is the host's is taken from nobody by this; other
-    /// memory is allocated and given back, as drivers do not otherwise say what is free.
+    /// Checks that the adapter can hold `bytes` more. Host memory is only queried; other memory is allocated and given
+    /// back, as drivers do not otherwise report what is free.
     ///
     /// # Errors
-    /// [`GpuError::NotEnoughMemory`], for `what`.
+    /// [`GpuError::NotEnoughMemory`], naming `what`.
     pub(crate) fn ensure_free(&self, what: &str, bytes: u64) -> Result<(), GpuError> {
         let of_host = if self.is_unified { host_memory() } else { None };
         let mut free = of_host.unwrap_or(u64::MAX);
@@ -65,7 +65,7 @@ impl Gpu {
         self.ensure_within(free, what, bytes)
     }
 
-    /// Error if there are not `bytes` among those that are free.
+    /// Checks that `bytes` do not exceed the `free` ones.
     pub(super) fn ensure_within(&self, free: u64, what: &str, bytes: u64) -> Result<(), GpuError> {
         if free >= bytes {
             return Ok(());
@@ -74,7 +74,7 @@ impl Gpu {
         Err(GpuError::NotEnoughMemory { what, needed: bytes >> 20, free: free >> 20, adapter })
     }
 
-    /// How many of `bytes` the driver hands out now.
+    /// Number of bytes, up to `bytes`, that the driver grants at present.
     fn allocatable(&self, bytes: u64) -> u64 {
         let largest = PROBE.min(self.limits.max_buffer_size);
         let (mut found, mut probes) = (0, vec![]);
@@ -90,7 +90,7 @@ impl Gpu {
         found
     }
 
-    /// A buffer, or the error that there is no memory for it.
+    /// Creates a buffer, or returns the error that there is no memory for it.
     fn create(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
         let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
@@ -113,7 +113,7 @@ impl Gpu {
     /// A zeroed storage buffer of `words` 4-byte words.
     pub(crate) fn storage(&self, label: &str, words: usize) -> Result<Buffer, GpuError> {
         use wgpu::BufferUsages as U;
-        // A checkpoint may ask for any number of words.
+        // Saturating, as a checkpoint may ask for any number of words.
         self.allocate(label, (words as u64).saturating_mul(4), U::STORAGE | U::COPY_SRC | U::COPY_DST | U::INDIRECT)
     }
 
@@ -131,18 +131,18 @@ impl Gpu {
         self.allocate(label, words as u64 * 4, U::UNIFORM | U::STORAGE | U::COPY_DST)
     }
 
-    /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4. Waits only for more than [`STAGED`]
-    /// bytes.
+    /// Replaces bytes from `offset` on, before the next submission runs. Lengths must be multiples of 4. Waits only if
+    /// there are more than [`STAGED`] bytes.
     pub(crate) fn write<T: bytemuck::Pod>(&self, buffer: &Buffer, offset: u64, values: &[T]) {
         self.write_in_pieces(buffer, offset, bytemuck::cast_slice(values), STAGED);
     }
 
-    /// As [`Self::write`], a piece at a time: all before it are on the adapter by then.
+    /// As [`Self::write`], in pieces: each is staged once the previous ones are on the adapter.
     pub(super) fn write_in_pieces(&self, buffer: &Buffer, offset: u64, bytes: &[u8], piece: usize) {
         for (i, bytes) in bytes.chunks(piece).enumerate() {
             if i > 0 {
                 self.queue.submit([]);
-                // What goes wrong here is told by whatever waits next.
+                // An error here is reported by whatever waits next.
                 let _ = self.polled(|| self.device.poll(wgpu::PollType::wait_indefinitely()));
             }
             self.queue.write_buffer(&buffer.raw, offset + (i * piece) as u64, bytes);
@@ -158,7 +158,7 @@ impl Gpu {
         self.fetch(&[(buffer, bytes)], |found| bytemuck::pod_collect_to_vec(&found[..bytes]))
     }
 
-    /// As [`Self::read`], of two buffers with one wait.
+    /// As [`Self::read`] for two buffers, with one wait.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -174,7 +174,8 @@ impl Gpu {
         })
     }
 
-    /// Waits for everything submitted and takes so many bytes from the start of each buffer, one after the other, each at a multiple of four.
+    /// Waits for everything submitted and reads this many bytes from the start of each buffer, concatenated at
+    /// multiples of four.
     fn fetch<R>(&self, parts: &[(&Buffer, usize)], take: impl FnOnce(&[u8]) -> R) -> Result<R, GpuError> {
         let padded = |bytes: usize| bytes.next_multiple_of(4) as u64;
         let total: u64 = parts.iter().map(|(_, bytes)| padded(*bytes)).sum();

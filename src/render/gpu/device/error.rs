@@ -1,4 +1,4 @@
-//! What can go wrong on an adapter.
+//! Errors of adapters and drivers.
 
 use crate::scene::SceneError;
 
@@ -6,22 +6,22 @@ use crate::scene::SceneError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// None that could run the pipeline.
+    /// No adapter can run the pipeline.
     #[error(
         "no GPU adapter {}: install a Vulkan, Metal or DX12 driver; without a GPU, Mesa's software adapter works \
          (Debian/Ubuntu: apt install mesa-vulkan-drivers)",
         if unfit.is_empty() { "found".to_owned() } else { format!("will do ({})", unfit.join("; ")) }
     )]
     NoAdapter {
-        /// Those that there are, and why each cannot.
+        /// The adapters present, and why each cannot.
         unfit: Vec<String>,
     },
-    /// None of the requested name, index or PCI bus id.
+    /// No adapter of the requested name, index or PCI bus id.
     #[error("no adapter matches {wanted:?}; available: {available}")]
     NoSuchAdapter {
-        /// What was asked for.
+        /// The request.
         wanted: String,
-        /// All adapters, as they can be asked for.
+        /// All adapters, as they can be requested.
         available: String,
     },
     /// The adapter refused a device.
@@ -29,7 +29,7 @@ pub enum GpuError {
     Device {
         /// Adapter name.
         adapter: String,
-        /// The driver's words.
+        /// The driver's message.
         reason: String,
     },
     /// A buffer exceeds what the adapter can bind.
@@ -44,7 +44,7 @@ pub enum GpuError {
         /// Adapter name.
         adapter: String,
     },
-    /// What is about to be allocated exceeds what is free.
+    /// The memory about to be allocated exceeds what is free.
     #[error("{what} needs {needed} MiB of memory, but {adapter} has {free} MiB free: {LESS}")]
     NotEnoughMemory {
         /// What the memory is for.
@@ -59,29 +59,29 @@ pub enum GpuError {
     /// The driver has no memory left.
     #[error("{adapter} is out of memory: no room for {what} beside the {held} MiB in use: {LESS}")]
     OutOfMemory {
-        /// What there was no room for.
+        /// What did not fit.
         what: String,
-        /// MiB allocated before, without what the driver needs itself.
+        /// MiB allocated before, without the driver's own.
         held: u64,
         /// Adapter name.
         adapter: String,
     },
-    /// More splats in a tile than loops of the adapter go through.
+    /// A tile has more splats than the adapter's loops can process.
     #[error(
         "a tile of 16×16 pixels has {splats} splats, and {adapter} goes through {most} at most: expected a larger picture, fewer splats, or a GPU"
     )]
     TileTooFull {
-        /// In the fullest tile.
+        /// Splats in the fullest tile.
         splats: usize,
-        /// That the adapter can go through.
+        /// Splats that the adapter can process.
         most: usize,
         /// Adapter name.
         adapter: String,
     },
-    /// No scene to render.
+    /// The scene is not valid.
     #[error("the scene cannot be rendered: {0}")]
     Scene(#[from] SceneError),
-    /// A camera of another size than a renderer was made for.
+    /// A camera is larger than the renderer was made for.
     #[error("expected a picture no larger than those that the renderer was made for, found {width}×{height}")]
     ImageTooLarge {
         /// Pixels across.
@@ -94,12 +94,12 @@ pub enum GpuError {
     Failed {
         /// Adapter name.
         adapter: String,
-        /// The driver's words.
+        /// The driver's message.
         reason: String,
     },
 }
 
-/// How to get by with less memory.
+/// Advice on needing less memory.
 pub(super) const LESS: &str =
     "smaller images, fewer mesh layers, smaller maps or fewer splats need less, whichever it holds";
 
@@ -111,7 +111,7 @@ impl GpuError {
     }
 }
 
-/// An error outside a call that returns one.
+/// An error outside of a call that returns one.
 #[derive(Clone)]
 pub(super) enum Failure {
     OutOfMemory,

@@ -1,4 +1,4 @@
-//! Recording of commands, and what they took.
+//! Recording of commands, and their timing.
 
 use super::{Buffer, Gpu, GpuError, Stage};
 
@@ -49,7 +49,7 @@ impl<'a> Frame<'a> {
         pass
     }
 
-    /// The pass for the next dispatch; with a timer one for it alone, which is timed as `label`.
+    /// Pass for the next dispatch; with a timer, one for it alone, timed as `label`.
     fn open_pass(&mut self, label: &str) -> &mut wgpu::ComputePass<'static> {
         if let Some(timer) = &mut self.timer
             && timer.labels.len() < Timer::CAPACITY
@@ -73,7 +73,8 @@ impl<'a> Frame<'a> {
         })
     }
 
-    /// Runs `groups` workgroups, folded into rows where one is too short (see `group_index` in WGSL), the last of which is full, too.
+    /// Dispatches `groups` workgroups, folded into rows if they exceed one (see `group_index` in WGSL); the last row is
+    /// padded to full width.
     pub(crate) fn dispatch(&mut self, stage: &Stage, groups: usize) {
         if groups == 0 {
             return;
@@ -83,12 +84,12 @@ impl<'a> Frame<'a> {
         self.pass(stage).dispatch_workgroups(x as u32, y as u32, 1);
     }
 
-    /// Runs as many workgroups as have that many threads, or more.
+    /// Dispatches enough workgroups for this many threads.
     pub(crate) fn dispatch_threads(&mut self, stage: &Stage, threads: usize) {
         self.dispatch(stage, groups(threads, stage.kernel.threads));
     }
 
-    /// Runs as many workgroups as the first three of the four words number `place` of `sizes` say.
+    /// Dispatches the number of workgroups in the first three of the four words at index `place` of `sizes`.
     pub(crate) fn dispatch_indirect(&mut self, stage: &Stage, sizes: &Buffer, place: usize) {
         self.pass(stage).dispatch_workgroups_indirect(&sizes.raw, 16 * place as u64);
     }
@@ -126,7 +127,7 @@ pub(crate) struct Timer {
 impl Timer {
     const CAPACITY: usize = 512;
 
-    /// None where the adapter has no timestamps.
+    /// A timer; `None` if the adapter has no timestamps.
     pub(crate) fn new(gpu: &Gpu) -> Option<Self> {
         if !gpu.profile.timestamps {
             return None;
@@ -158,7 +159,7 @@ impl Timer {
     }
 }
 
-/// Workgroups of `size` threads that cover `items`.
+/// Number of workgroups of `size` that cover `items`.
 pub(crate) fn groups(items: usize, size: usize) -> usize {
     items.div_ceil(size)
 }

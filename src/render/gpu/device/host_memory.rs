@@ -1,17 +1,17 @@
-//! How much of the host's memory there is.
+//! Free memory of the host.
 
 use std::path::Path;
 
-/// Bytes of the host's memory that programs may still take, where the system says so.
+/// Bytes of the host's memory that programs may still allocate, if the system reports them.
 pub(super) fn host_memory() -> Option<u64> {
     memory_of(Path::new("/"))
 }
 
-/// The same by the files of Linux below `root`.
+/// Free memory according to Linux's files below `root`.
 fn memory_of(root: &Path) -> Option<u64> {
     let read = |file: &Path| std::fs::read_to_string(root.join(file)).ok();
     let free = available_bytes(&read(Path::new("proc/meminfo"))?)?;
-    // Within the limits of all groups, those of containers and jobs among them, that the process is in.
+    // Limited by all control groups of the process, including those of containers and jobs.
     let groups = read(Path::new("proc/self/cgroup")).unwrap_or_default();
     let limits = groups.lines().filter_map(|line| {
         let (files, group) = files_of(line)?;
@@ -25,12 +25,12 @@ fn memory_of(root: &Path) -> Option<u64> {
     Some(limits.fold(free, u64::min))
 }
 
-/// How a version of Linux's control groups calls what it says of memory.
+/// Names of the memory files of a version of Linux's control groups.
 struct Files {
     folder: &'static str,
     limit: &'static str,
     used: &'static str,
-    /// Of what is used, pages of files: lines of `memory.stat`.
+    /// Lines of `memory.stat` that count cached pages of files, which are part of what is used.
     cached: [&'static str; 2],
 }
 
@@ -48,8 +48,8 @@ const V2: Files = Files {
     cached: ["inactive_file", "active_file"],
 };
 
-/// The group that a line of `/proc/self/cgroup`, `ID:CONTROLLERS:/GROUP`, says for memory, as a relative path; the second version has one for
-/// all controllers.
+/// Memory files and group, as a relative path, of a line of `/proc/self/cgroup`, `ID:CONTROLLERS:/GROUP`; version 2 has
+/// one group for all controllers.
 fn files_of(line: &str) -> Option<(Files, &str)> {
     let (_, rest) = line.split_once(':')?;
     let (controllers, group) = rest.split_once(":/")?;
@@ -59,7 +59,8 @@ fn files_of(line: &str) -> Option<(Files, &str)> {
     }
 }
 
-/// What a group may still take, of which the kernel takes back what it keeps of files. `None` without a limit.
+/// Bytes that a group may still allocate; cached pages of files count as free, as the kernel reclaims them. `None`
+/// without a limit.
 fn left_of_group(limit: &str, used: &str, stat: &str, cached: [&str; 2]) -> Option<u64> {
     let [limit, used] = [limit, used].map(|text| text.trim().parse::<u64>().ok());
     let kept = |name: &str| {
@@ -70,7 +71,7 @@ fn left_of_group(limit: &str, used: &str, stat: &str, cached: [&str; 2]) -> Opti
     Some(limit?.saturating_sub(used?.saturating_sub(of_files)))
 }
 
-/// `MemAvailable` of Linux's `/proc/meminfo`.
+/// Bytes of `MemAvailable` in Linux's `/proc/meminfo`.
 fn available_bytes(meminfo: &str) -> Option<u64> {
     let kib = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     kib.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)

@@ -1,4 +1,4 @@
-//! Compiled entry points of `shaders/`, and the buffers that they run on.
+//! Compiled entry points of `shaders/`, and their bindings to buffers.
 
 use std::sync::{Arc, PoisonError};
 
@@ -11,17 +11,17 @@ pub(crate) struct Kernel {
     pub(super) label: Arc<str>,
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
-    /// Numbers of its bindings, in order.
+    /// Binding numbers, in order.
     slots: Arc<[u32]>,
-    /// Threads in a workgroup.
+    /// Threads per workgroup.
     pub(super) threads: usize,
 }
 
-/// A kernel on its buffers: what a frame dispatches.
+/// A kernel with its buffers, ready to be dispatched.
 pub(crate) struct Stage {
     pub(super) kernel: Kernel,
     bindings: wgpu::BindGroup,
-    /// A bind group keeps its buffers alive.
+    /// Keeps the buffers counted, which the bind group keeps alive.
     _allocations: Vec<Arc<Allocation>>,
 }
 
@@ -31,7 +31,7 @@ impl Stage {
         Kernel::new(gpu, file, entry, defines).bind(gpu, buffers)
     }
 
-    /// Makes it what the pass dispatches next.
+    /// Selects it for the pass's next dispatch.
     pub(super) fn encode(&self, pass: &mut wgpu::ComputePass) {
         pass.set_pipeline(&self.kernel.pipeline);
         pass.set_bind_group(0, &self.bindings, &[]);
@@ -49,8 +49,8 @@ impl Kernel {
     fn compile(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
         let mut wgsl = shader::preprocess(file, defines);
         if gpu.profile.is_cpu {
-            // Mesa's software adapter puts uniforms that decide on branches and loops into the code and compiles that anew, whenever
-            // it is run. Storage it leaves alone.
+            // Mesa's software adapter compiles uniforms that decide on branches and loops into the code, anew for every
+            // run. It does not do so with storage.
             wgsl = wgsl.replace("var<uniform>", "var<storage, read>");
         }
         #[cfg(test)]
@@ -102,7 +102,7 @@ impl Kernel {
         Self { label: label.into(), pipeline, layout, slots: bindings.iter().map(|b| b.0).collect(), threads }
     }
 
-    /// This kernel on `buffers`, in the order of the shader's binding numbers.
+    /// Binds the kernel to `buffers`, in the order of the shader's binding numbers.
     pub(crate) fn bind(&self, gpu: &Gpu, buffers: &[&Buffer]) -> Stage {
         assert_eq!(self.slots.len(), buffers.len(), "{} has {} bindings", self.label, self.slots.len());
         let entries: Vec<_> = self
@@ -121,7 +121,7 @@ impl Kernel {
     }
 }
 
-/// Leaves what is compiled in the folder that `CENTAUR_WGSL` names, for `make oracle-tint`.
+/// Writes the compiled source to the folder that `CENTAUR_WGSL` names, for `make oracle-tint`.
 #[cfg(test)]
 fn keep(wgsl: &str, file: &str, entry: &str) {
     use std::hash::{DefaultHasher, Hash as _, Hasher as _};

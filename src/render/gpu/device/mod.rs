@@ -31,7 +31,7 @@ pub struct Gpu {
     adapter: String,
     profile: Profile,
     limits: wgpu::Limits,
-    /// Its memory is the host's.
+    /// Whether its memory is the host's.
     is_unified: bool,
     memory: Arc<Memory>,
     failure: Arc<Mutex<Option<Failure>>>,
@@ -39,8 +39,8 @@ pub struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the best adapter, or that which `wanted` says: `#1` is the one of that index in [`list_adapters`], `0000:41:00.0` the one with
-    /// that PCI bus id, anything else the first whose name contains it (case-insensitive).
+    /// Opens the best adapter, or the one that `wanted` selects: `#1` by index in [`list_adapters`], `0000:41:00.0` by
+    /// PCI bus id, anything else the first whose name contains it (case-insensitive).
     ///
     /// # Errors
     /// If there is no (such) adapter or its driver refuses a device.
@@ -48,8 +48,8 @@ impl Gpu {
         Self::open_restricted(wanted, true)
     }
 
-    /// As [`Gpu::open`], pretending that subgroups are missing where told so: the fallback runs everywhere, so that it can be
-    /// tested everywhere.
+    /// As [`Gpu::open`], optionally without subgroups even where they exist, so that the fallback can be tested
+    /// everywhere.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -104,46 +104,47 @@ impl Gpu {
         &self.adapter
     }
 
-    /// What shaders may use.
+    /// Capabilities that shaders may use.
     #[must_use]
     pub fn profile(&self) -> Profile {
         self.profile
     }
 
-    /// Whether its memory is the host's.
+    /// Whether the adapter's memory is the host's.
     pub(crate) fn shares_host_memory(&self) -> bool {
         self.is_unified
     }
 
-    /// Most bytes that were allocated at once since the device was opened, or since [`Self::reset_peak`].
+    /// Peak of allocated bytes since the device was opened, or since [`Self::reset_peak`].
     #[must_use]
     pub fn peak_bytes(&self) -> u64 {
         self.memory.peak.load(Ordering::Relaxed)
     }
 
-    /// From here on [`Self::peak_bytes`] is of what is allocated now, and of what comes.
+    /// Resets [`Self::peak_bytes`] to the bytes allocated now.
     pub fn reset_peak(&self) {
         self.memory.peak.store(self.memory.now.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
-    /// Most bytes that one binding can hold.
+    /// Largest number of bytes that one binding can hold.
     #[must_use]
     pub fn max_binding_bytes(&self) -> u64 {
         max_binding_bytes(&self.limits)
     }
 
-    /// Passes that all loops of a thread may make together: Mesa's software adapter ends them after so many, without a word
-    /// (`LP_MAX_TGSI_LOOP_ITERATIONS`; of a loop with `continue` each counts twice).
+    /// Limit on the passes of all loops of a thread together, if there is one: Mesa's software adapter silently ends
+    /// them after that many (`LP_MAX_TGSI_LOOP_ITERATIONS`; in a loop with `continue` each counts twice).
     pub(crate) fn loop_passes(&self) -> Option<usize> {
         self.profile.is_cpu.then_some(65_535)
     }
 
-    /// Most workgroups in a row of a dispatch.
+    /// Largest number of workgroups in a row of a dispatch.
     pub(crate) fn widest_dispatch(&self) -> u32 {
         self.limits.max_compute_workgroups_per_dimension
     }
 
-    /// The best adapter, with subgroups or without. One that has none cannot test what kernels do with them.
+    /// The best adapter, with subgroups or without. Panics if it has none, as it then cannot test kernels that use
+    /// them.
     #[cfg(test)]
     pub(crate) fn with_subgroups(subgroups: bool) -> Self {
         let gpu = Self::open_restricted(None, subgroups).unwrap();
@@ -151,14 +152,14 @@ impl Gpu {
         gpu
     }
 
-    /// The same adapter, but dispatches are folded into rows of at most so many workgroups.
+    /// The same adapter, with dispatches folded into rows of at most this many workgroups.
     #[cfg(test)]
     pub(crate) fn narrowed(mut self, widest: u32) -> Self {
         self.limits.max_compute_workgroups_per_dimension = widest;
         self
     }
 
-    /// The same adapter, but buffers are bound up to so many bytes.
+    /// The same adapter, with bindings limited to this many bytes.
     #[cfg(test)]
     pub(crate) fn binding_at_most(mut self, bytes: u64) -> Self {
         self.limits.max_storage_buffer_binding_size = bytes;
@@ -171,7 +172,7 @@ impl Gpu {
         self.kernels.lock().unwrap().len()
     }
 
-    /// The same adapter, with what there is for GPUs: uniforms, threads that work together, memory that is not the host's.
+    /// The same adapter, treated as a GPU: uniforms, cooperating threads, memory that is not the host's.
     #[cfg(test)]
     pub(crate) fn posing_as_gpu(mut self) -> Self {
         self.profile.is_cpu = false;
@@ -214,7 +215,7 @@ impl Gpu {
         self.polled(|| self.device.poll(wgpu::PollType::wait_indefinitely())).map(drop)
     }
 
-    /// What a call of `poll` says. wgpu panics where it finds a device lost meanwhile, of which it has said why by then, as a rule.
+    /// Result of `poll`. wgpu panics if it finds the device lost meanwhile, by when it has usually reported the reason.
     fn polled<T>(&self, poll: impl FnOnce() -> Result<T, wgpu::PollError>) -> Result<T, GpuError> {
         let failed = |reason: String| GpuError::Failed { adapter: self.adapter.clone(), reason };
         match catch_unwind(AssertUnwindSafe(poll)) {
@@ -223,7 +224,7 @@ impl Gpu {
         }
     }
 
-    /// The defines that every kernel gets from the adapter.
+    /// Defines for every kernel on this adapter.
     pub(crate) fn defines(&self) -> Defines {
         Defines::default().with("SUBGROUPS", u32::from(self.profile.subgroups)).with("WIDEST", self.widest_dispatch())
     }
