@@ -34,7 +34,7 @@ pub use fusion::{Fusion, FusionOptions};
 pub use neighbors::mean_squared_distance_to_3_neighbors;
 pub use occluded::occluded_splats;
 pub use planar::PlanarStats;
-pub(crate) use reconstruct::surface_from_depths;
+pub(crate) use reconstruct::{FusionVolume, surface_from_depths};
 pub use reconstruct::{SurfaceOptions, SurfaceStats, surface_from_fusion};
 pub use shell::Shell;
 pub use sight::{Sight, Viewers};

@@ -24,6 +24,16 @@ pub struct SurfaceOptions {
     pub target_triangles: usize,
 }
 
+/// Volume in which [`surface_from_depths`] fuses.
+pub(crate) struct FusionVolume {
+    /// Contraction of space, if it is unbounded.
+    pub(crate) contraction: Option<Contraction>,
+    /// Voxels along the radius: at least, and at most.
+    pub(crate) resolutions: RangeInclusive<u32>,
+    /// Truncation distance, voxels.
+    pub(crate) truncation: f64,
+}
+
 /// Number of the largest components that are kept (2DGS).
 const KEEP_COMPONENTS: usize = 50;
 
@@ -51,25 +61,24 @@ pub struct SurfaceStats {
 }
 
 /// Fuses the depth maps of all cameras and reconstructs their surface. The volume follows [`FusionOptions::suggest`]
-/// for `points` and `contraction`, but with a truncation of `truncation` voxels, at the highest of `resolutions`, or at
-/// a lower one if voxels do not fit into memory. `depth_of` is that of [`Fusion::of_depths`].
+/// for `points`, but with the truncation of `volume`, at the highest of its resolutions, or at a lower one if voxels do
+/// not fit into memory. `depth_of` is that of [`Fusion::of_depths`].
 ///
 /// # Errors
 /// Those of [`Fusion::of_depths`] and [`surface_from_fusion`].
 pub(crate) fn surface_from_depths<E: From<GeometryError>>(
     cameras: &[Camera],
     points: &[Vec3],
-    contraction: Option<Contraction>,
-    resolutions: RangeInclusive<u32>,
-    truncation: f64,
+    volume: FusionVolume,
     options: &SurfaceOptions,
     depth_of: impl FnMut(usize) -> Result<Vec<f32>, E>,
 ) -> Result<(Surface, SurfaceStats), E> {
-    let volume = |resolution: u32| {
+    let FusionVolume { contraction, resolutions, truncation } = volume;
+    let of_resolution = |resolution: u32| {
         let suggested = FusionOptions::suggest(cameras, points, resolution, contraction)?;
         Ok(FusionOptions { truncation: truncation * suggested.voxel, ..suggested })
     };
-    let fusion = Fusion::of_depths(cameras, resolutions, volume, depth_of)?;
+    let fusion = Fusion::of_depths(cameras, resolutions, of_resolution, depth_of)?;
     Ok(surface_from_fusion(&fusion, options)?)
 }
 

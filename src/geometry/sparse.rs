@@ -13,7 +13,7 @@ use spade::{CdtEdge, ConstrainedDelaunayTriangulation, HasPosition, Point2, Tria
 use super::bvh::MeshBvh;
 use super::fusion::MAX_BYTES;
 use super::raster::pixels_in;
-use super::reconstruct::{SurfaceOptions, SurfaceStats, surface_from_depths};
+use super::reconstruct::{FusionVolume, SurfaceOptions, SurfaceStats, surface_from_depths};
 use super::surface::Surface;
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
@@ -135,11 +135,10 @@ pub fn surface_from_points(
     let edge = median_edge(points, &clear, contraction.as_ref());
     let resolution = (2.0 * space.radius / edge).clamp(LEAST_RESOLUTION.into(), MAX_RESOLUTION.into()) as u32;
     let options = SurfaceOptions { min_component_faces: LEAST_FACES, planar, target_triangles: triangles };
-    let resolutions = LEAST_RESOLUTION..=resolution;
+    let volume = FusionVolume { contraction, resolutions: LEAST_RESOLUTION..=resolution, truncation: TRUNCATION };
     let depth_of = |i: usize| Ok::<_, GeometryError>(depth_map(&cameras[i], points, &clear[i]));
     let surface;
-    (surface, stats.surface) =
-        surface_from_depths(&cameras, points, contraction, resolutions, TRUNCATION, &options, depth_of)?;
+    (surface, stats.surface) = surface_from_depths(&cameras, points, volume, &options, depth_of)?;
     Ok((surface, stats))
 }
 

@@ -1,11 +1,11 @@
 //! The working set of a density step: splats while they are added, moved and removed.
 
-use glam::{DQuat, Vec3};
+use glam::Vec3;
 
 use crate::{
     render::gpu::{
         rows::Source,
-        state::{GEOMETRY_FLOATS, LOG_SCALE, MEAN, OPACITY, ROTATION, SMOOTHING, geometry_not_finite, sigmoid},
+        state::{GEOMETRY_FLOATS, Geometry, geometry_not_finite, logit, sigmoid},
     },
     scene::{keep_rows, smoothed},
 };
@@ -93,16 +93,16 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     #[must_use]
-    pub(super) fn row(&self, i: usize) -> &[f32] {
-        &self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
+    pub(super) fn row(&self, i: usize) -> Geometry {
+        Geometry::at(&self.geometry, i)
     }
 
-    /// Geometry of splat `i`, to be changed.
+    /// Applies `change` to the geometry of splat `i`.
     ///
     /// # Panics
     /// If `i` is out of range.
-    pub(super) fn row_mut(&mut self, i: usize) -> &mut [f32] {
-        &mut self.geometry[i * GEOMETRY_FLOATS..(i + 1) * GEOMETRY_FLOATS]
+    pub(super) fn edit(&mut self, i: usize, change: impl FnOnce(&mut Geometry)) {
+        Geometry::edit(&mut self.geometry, i, change);
     }
 
     /// Opacity of splat `i`, 0 to 1.
@@ -111,7 +111,15 @@ impl Arrangement {
     /// If `i` is out of range.
     #[must_use]
     pub(super) fn opacity(&self, i: usize) -> f32 {
-        sigmoid(self.row(i)[OPACITY])
+        sigmoid(self.row(i).opacity_logit)
+    }
+
+    /// Sets the opacity of splat `i`, 0 to 1.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub(super) fn set_opacity(&mut self, i: usize, opacity: f32) {
+        self.edit(i, |g| g.opacity_logit = logit(opacity));
     }
 
     /// Factor, 0 to 1, by which smoothing reduces the opacity of splat `i`.
@@ -121,7 +129,7 @@ impl Arrangement {
     #[must_use]
     pub(super) fn smoothing_factor(&self, i: usize) -> f32 {
         let row = self.row(i);
-        smoothed(Vec3::from_slice(&row[LOG_SCALE]).as_dvec3(), row[SMOOTHING].into()).1 as f32
+        smoothed(row.log_scale.as_dvec3(), row.smoothing.into()).1 as f32
     }
 
     /// Opacity of splat `i` as rendered: its own times [`Self::smoothing_factor`].
@@ -139,7 +147,15 @@ impl Arrangement {
     /// If `i` is out of range.
     #[must_use]
     pub(super) fn scales(&self, i: usize) -> Vec3 {
-        Vec3::from_slice(&self.row(i)[LOG_SCALE]).exp()
+        self.row(i).log_scale.exp()
+    }
+
+    /// Multiplies the standard deviations of splat `i` by e to the power of `log_factor`.
+    ///
+    /// # Panics
+    /// If `i` is out of range.
+    pub(super) fn scale_by(&mut self, i: usize, log_factor: f32) {
+        self.edit(i, |g| g.log_scale += log_factor);
     }
 
     /// Moves splat `i` by `offset`, in world units along the splat's own axes.
@@ -147,12 +163,10 @@ impl Arrangement {
     /// # Panics
     /// If `i` is out of range.
     pub(super) fn move_by(&mut self, i: usize, offset: Vec3) {
-        let row = self.row_mut(i);
         // In f64 like `Splats::new`: an unnormalised quaternion may be long or short. A zero one turns nothing.
-        let [w, x, y, z] = [0, 1, 2, 3].map(|k| f64::from(row[ROTATION.start + k]));
-        let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
+        let rotation = self.row(i).rotation.as_dquat().normalize();
         let offset = if rotation.is_finite() { rotation * offset.as_dvec3() } else { offset.as_dvec3() };
-        (Vec3::from_slice(&row[MEAN]) + offset.as_vec3()).write_to_slice(&mut row[MEAN]);
+        self.edit(i, |g| g.mean += offset.as_vec3());
     }
 
     /// Group of parameters and index of the first splat whose geometry is not finite.
@@ -201,8 +215,9 @@ mod tests {
     #[test]
     fn smoothing_takes_as_much_of_an_opacity_as_a_scene_shows() {
         let mut smooth = state(1, 0);
-        smooth.geometry[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -6.0]);
-        smooth.geometry[SMOOTHING] = 0.02;
+        Geometry::edit(&mut smooth.geometry, 0, |g| {
+            *g = Geometry { log_scale: Vec3::new(-4.0, -5.0, -6.0), smoothing: 0.02, ..*g };
+        });
         let shown = sigmoid(smooth.to_splats().unwrap().opacity_logits()[0]);
         let factor = Arrangement::new(smooth.geometry).smoothing_factor(0);
         assert!((f64::from(factor) * 0.5 / f64::from(shown) - 1.0).abs() < 1e-5);

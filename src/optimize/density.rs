@@ -6,7 +6,6 @@ pub(super) mod inria;
 pub(super) mod mcmc;
 
 use super::arrangement::Arrangement;
-use crate::render::gpu::state::{OPACITY, logit};
 
 /// Per-splat sums since the last density step, as `splat_backward.wgsl` accumulates them. `[N]` rows of Σ‖(½W·∂L/∂u,
 /// ½H·∂L/∂v)‖, the number of views in which the splat was visible, Σ blend weight α·T over their pixels, and, with
@@ -44,7 +43,7 @@ pub(super) fn reset_opacity(splats: &mut Arrangement) {
     for i in 0..splats.len() {
         let most = 0.01 / splats.smoothing_factor(i);
         if splats.opacity(i) > most {
-            splats.row_mut(i)[OPACITY] = logit(most);
+            splats.set_opacity(i, most);
         }
     }
     splats.clear_opacity_moments();
@@ -57,7 +56,7 @@ fn finite_or_zero(x: f32) -> f32 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::render::gpu::state::{GEOMETRY_FLOATS, SMOOTHING, SplatState};
+    use crate::render::gpu::state::{Geometry, SplatState};
 
     pub(crate) use crate::render::gpu::state::tests::state;
 
@@ -74,8 +73,8 @@ pub(super) mod tests {
     #[test]
     fn reset_limits_opacity_and_forgets_only_its_moments() {
         let mut s = arrangement(3);
-        s.row_mut(1)[OPACITY] = logit(0.004);
-        s.row_mut(2)[SMOOTHING] = 0.01;
+        s.set_opacity(1, 0.004);
+        s.edit(2, |g| g.smoothing = 0.01);
         let before = s.clone();
         reset_opacity(&mut s);
         assert!((s.opacity(0) - 0.01).abs() < 1e-6);
@@ -84,13 +83,9 @@ pub(super) mod tests {
         assert!((s.opacity(2) - 0.01 * 8.0_f32.sqrt()).abs() < 1e-6);
         let all = state(3, 1);
         let after = rearranged(&all, &s);
-        for i in 0..3 {
-            for c in 0..GEOMETRY_FLOATS {
-                let at = i * GEOMETRY_FLOATS + c;
-                let expected = if c == OPACITY { 0.0 } else { all.geometry_m[at] };
-                assert_eq!((after.geometry_m[at], after.geometry_v[at]), (expected, expected));
-            }
-        }
+        let mut expected = all.geometry_m;
+        (0..3).for_each(|i| Geometry::edit(&mut expected, i, |g| g.opacity_logit = 0.0));
+        assert_eq!((&after.geometry_m, &after.geometry_v), (&expected, &expected));
         assert_eq!((after.sh, after.sh_m), (all.sh, all.sh_m));
     }
 

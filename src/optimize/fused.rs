@@ -5,7 +5,9 @@ use glam::Vec3;
 use super::{SurfaceOrigin, TrainError, cut_out::clear_unseen, size};
 use crate::{
     capture::{self, Capture},
-    geometry::{self, Contraction, GeometryError, PointView, SparseStats, Surface, SurfaceOptions, SurfaceStats},
+    geometry::{
+        self, Contraction, FusionVolume, GeometryError, PointView, SparseStats, Surface, SurfaceOptions, SurfaceStats,
+    },
     render::gpu::{Gpu, Renderer},
     scene::{Camera, Composition, HybridScene},
 };
@@ -97,6 +99,6 @@ pub(super) fn from_depths(
     let resolution = ((2.0 * focal / VOXEL_PIXELS) as u32).clamp(LEAST_RESOLUTION, MAX_RESOLUTION);
     let contraction = Contraction::if_unbounded(cameras, points)?;
     let options = SurfaceOptions { min_component_faces: LEAST_FACES, planar, target_triangles: triangles };
-    let resolutions = LEAST_RESOLUTION..=resolution;
-    geometry::surface_from_depths(cameras, points, contraction, resolutions, TRUNCATION, &options, depth_of)
+    let volume = FusionVolume { contraction, resolutions: LEAST_RESOLUTION..=resolution, truncation: TRUNCATION };
+    geometry::surface_from_depths(cameras, points, volume, &options, depth_of)
 }

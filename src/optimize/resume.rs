@@ -46,6 +46,17 @@ pub(super) struct Saved {
     pub(super) past: Past,
 }
 
+/// State of a run between two iterations as far as the host keeps it.
+pub(super) struct HostState<'a> {
+    /// Phase, and iterations done in it.
+    pub(super) reached: (Phase, u32),
+    pub(super) found: SurfaceRecord,
+    /// Poses, used if they are not on the GPU any more.
+    pub(super) poses: Option<&'a PoseState>,
+    pub(super) epoch: &'a EpochWeight,
+    pub(super) past: Past,
+}
+
 /// Record of how the mesh came to be.
 #[derive(Clone, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct SurfaceRecord {
@@ -67,17 +78,10 @@ pub(super) struct Identity<'a> {
 }
 
 impl Saved {
-    /// Reads back the whole state from the GPU; `poses` are used if they are no longer there. If a parameter group
-    /// holds a NaN or an infinity, the error names it.
-    pub(super) fn capture(
-        training: &Training,
-        scene: &HybridScene,
-        (phase, iteration): (Phase, u32),
-        found: SurfaceRecord,
-        poses: Option<&PoseState>,
-        epoch: &EpochWeight,
-        past: Past,
-    ) -> Result<Self, TrainError> {
+    /// Reads back the whole state from the GPU, beside that of the host. If a parameter group holds a NaN or an
+    /// infinity, the error names it.
+    pub(super) fn capture(training: &Training, scene: &HybridScene, host: HostState) -> Result<Self, TrainError> {
+        let HostState { reached: (phase, iteration), found, poses, epoch, past } = host;
         let (splats, texel_moments) = (training.read_splats()?, training.read_texel_moments()?);
         // Checked before meshes reject them, which do not know the iteration.
         finite(&splats, [&texel_moments.0, &texel_moments.1], phase, iteration)?;

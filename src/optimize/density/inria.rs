@@ -5,12 +5,9 @@
 use glam::Vec3;
 
 use super::Statistics;
-use crate::{
-    optimize::{
-        arrangement::Arrangement,
-        random::{self, Purpose},
-    },
-    render::gpu::state::LOG_SCALE,
+use crate::optimize::{
+    arrangement::Arrangement,
+    random::{self, Purpose},
 };
 
 /// Divisor of a child's scale: 0.8 × the number of children.
@@ -144,7 +141,7 @@ pub(in crate::optimize) fn densify(
 /// Shrinks a copy and moves it by `offset`, in standard deviations along the parent's axes.
 fn move_child(splats: &mut Arrangement, child: usize, offset: Vec3) {
     splats.move_by(child, offset * splats.scales(child));
-    splats.row_mut(child)[LOG_SCALE].iter_mut().for_each(|s| *s -= SPLIT_SHRINKAGE.ln());
+    splats.scale_by(child, -SPLIT_SHRINKAGE.ln());
 }
 
 #[cfg(test)]
@@ -154,17 +151,14 @@ mod tests {
     use super::*;
     use crate::{
         optimize::density::tests::{arrangement, rearranged, state},
-        render::gpu::{
-            rows::Source,
-            state::{OPACITY, logit},
-        },
+        render::gpu::{rows::Source, state::Geometry},
     };
 
     const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean of exactly the threshold
     const COLD: [f32; 4] = [3.9e-4, 2.0, 1.0, 1.0];
 
     fn set_scale(s: &mut Arrangement, i: usize, scale: [f32; 3]) {
-        Vec3::from(scale).ln().write_to_slice(&mut s.row_mut(i)[LOG_SCALE]);
+        s.edit(i, |g| g.log_scale = Vec3::from(scale).ln());
     }
 
     /// Of `before` splats at their places: how many have a copy now, have become two smaller ones, and are gone.
@@ -183,7 +177,7 @@ mod tests {
         for i in [1, 3] {
             set_scale(&mut s, i, [0.001, 0.011, 0.002]); // largest just above 0.01 extents
         }
-        s.row_mut(5)[OPACITY] = logit(0.004);
+        s.set_opacity(5, 0.004);
         let before = s.clone();
         densify(&mut s, Statistics(&[HOT, HOT, COLD, COLD, HOT, HOT]), &InriaOptions::new(1.001, 1000), 600, 7);
         assert_eq!(fates(6, &s), [2, 1, 1]);
@@ -195,14 +189,14 @@ mod tests {
             assert_eq!(moments[12 * now] == 0.0, now >= 4, "only clones start without moments");
         }
         for child in [6, 7] {
-            assert_eq!(s.row(child)[3..8], before.row(1)[3..8], "opacity and rotation are the parent's");
-            for c in LOG_SCALE {
-                let ratio = (before.row(1)[c] - s.row(child)[c]).exp();
-                assert!((ratio - 1.6).abs() < 1e-5, "{ratio}");
-            }
-            assert_ne!(s.row(child)[..3], before.row(1)[..3]);
+            let (child, parent) = (s.row(child), before.row(1));
+            let inherited = |g: Geometry| (g.opacity_logit, g.rotation);
+            assert_eq!(inherited(child), inherited(parent), "opacity and rotation are the parent's");
+            let ratio = (parent.log_scale - child.log_scale).exp();
+            assert!((ratio - 1.6).abs().max_element() < 1e-5, "{ratio}");
+            assert_ne!(child.mean, parent.mean);
         }
-        assert_ne!(s.row(6)[..3], s.row(7)[..3]);
+        assert_ne!(s.row(6).mean, s.row(7).mean);
     }
 
     #[test]
@@ -238,7 +232,7 @@ mod tests {
         let rotation = Quat::from_xyzw(0.0, 0.6, 0.0, 0.8);
         let mut squares = Vec3::ZERO;
         for child in 0..2 * n {
-            let offset = Vec3::from_slice(s.row(child)) - Vec3::from_slice(before.row(child / 2));
+            let offset = s.row(child).mean - before.row(child / 2).mean;
             let sigmas = rotation.inverse() * offset / scale;
             // f32 keeps 1e-4 of a unit at coordinates of up to 2000.
             assert!(sigmas.length() <= 3.0 + 2e-4 / 0.02, "{sigmas}");
@@ -252,8 +246,8 @@ mod tests {
     #[test]
     fn prunes_transparent_and_huge_splats_but_splits_what_fits_afterwards() {
         let mut s = arrangement(5);
-        s.row_mut(0)[OPACITY] = logit(0.0049);
-        s.row_mut(1)[OPACITY] = logit(0.0051);
+        s.set_opacity(0, 0.0049);
+        s.set_opacity(1, 0.0051);
         set_scale(&mut s, 2, [0.101, 0.01, 0.01]);
         set_scale(&mut s, 3, [0.15, 0.01, 0.01]); // its children have 0.094
         set_scale(&mut s, 4, [0.17, 0.01, 0.01]); // its children would have 0.106
@@ -273,12 +267,12 @@ mod tests {
         for i in (0..n).step_by(2) {
             set_scale(&mut s, i, [0.5; 3]);
         }
-        s.row_mut(99)[OPACITY] = logit(0.001);
+        s.set_opacity(99, 0.001);
         let rows: Vec<_> = (0..n).map(|i| [1e-3 * (1 + i) as f32, 1.0, 1.0, 1.0]).collect();
         densify(&mut s, Statistics(&rows), &InriaOptions::new(1.0, 109), 600, 7);
         assert_eq!((fates(n, &s), s.len()), ([5, 5, 1], 109));
         // 89 to 98 grow: odd ones have a clone, even ones are gone for their children.
-        let near = |x: f32| (0..s.len()).filter(|&i| (s.row(i)[0] - x).abs() < 1e-6).count();
+        let near = |x: f32| (0..s.len()).filter(|&i| (s.row(i).mean.x - x).abs() < 1e-6).count();
         assert_eq!([86.0, 87.0, 88.0, 89.0, 90.0, 97.0, 98.0].map(near), [1, 1, 1, 2, 0, 2, 0]);
         // Already above the cap: nothing grows.
         let before = s.clone();

@@ -8,12 +8,9 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::Statistics;
-use crate::{
-    optimize::{
-        arrangement::Arrangement,
-        random::{self, Purpose},
-    },
-    render::gpu::state::{LOG_SCALE, OPACITY, SMOOTHING, logit},
+use crate::optimize::{
+    arrangement::Arrangement,
+    random::{self, Purpose},
 };
 
 /// Largest number of copies, itself included, that one splat becomes in a step.
@@ -245,9 +242,8 @@ fn share(splats: &mut Arrangement, scores: &mut [f64], sources: &[usize], min_op
         let (opacity, factor) = relocation(f64::from(splats.opacity(i)), copies);
         let opacity = (opacity as f32).clamp(min_opacity, 1.0 - f32::EPSILON);
         splats.clear_moments(i);
-        let row = splats.row_mut(i);
-        row[OPACITY] = logit(opacity);
-        row[LOG_SCALE].iter_mut().for_each(|s| *s += factor.ln() as f32);
+        splats.set_opacity(i, opacity);
+        splats.scale_by(i, factor.ln() as f32);
         scores[i] = f64::from(splats.seen_opacity(i));
     }
 }
@@ -264,7 +260,7 @@ fn set_apart(splats: &mut Arrangement, copies: impl Iterator<Item = (usize, usiz
     for group in copies.chunk_by(|a, b| a.0 == b.0) {
         let source = group[0].0;
         let (scales, opacity, smoothing) =
-            (splats.scales(source), splats.opacity(source), splats.row(source)[SMOOTHING]);
+            (splats.scales(source), splats.opacity(source), splats.row(source).smoothing);
         let longest = scales.max_position();
         let scale = scales[longest];
         // Relative to the variance along the longest axis.
@@ -277,9 +273,8 @@ fn set_apart(splats: &mut Arrangement, copies: impl Iterator<Item = (usize, usiz
         let opacity = (opacity / shrinkage).min(opacity.max(MOST_OPAQUE));
         for (k, i) in std::iter::once(source).chain(group.iter().map(|pair| pair.1)).enumerate() {
             splats.move_by(i, step * (k as f32 - (n - 1.0) / 2.0));
-            let row = splats.row_mut(i);
-            row[LOG_SCALE][longest] += shrinkage.ln();
-            row[OPACITY] = logit(opacity);
+            splats.edit(i, |g| g.log_scale[longest] += shrinkage.ln());
+            splats.set_opacity(i, opacity);
         }
     }
 }
@@ -291,7 +286,7 @@ mod tests {
     use super::*;
     use crate::{
         optimize::density::tests::{arrangement, rearranged, state},
-        render::gpu::state::{SMOOTHING, sigmoid},
+        render::gpu::state::{Geometry, logit, sigmoid},
     };
 
     const SEEN: [f32; 4] = [0.0, 2.0, 4.0, 1.0];
@@ -365,13 +360,13 @@ mod tests {
         let n = 10;
         let mut s = arrangement(n);
         for i in 0..n {
-            s.row_mut(i)[OPACITY] = logit(if i == 4 { 0.9 } else { 0.004 });
+            s.set_opacity(i, if i == 4 { 0.9 } else { 0.004 });
         }
         let before = s.clone();
         run(&mut s, &[SEEN; 10], &McmcOptions::new(n, false), 1);
         assert_eq!(relocated_and_added(n, &s), (9, 0));
         let (opacity, factor) = relocation(0.9, 10);
-        let mean = |s: &Arrangement, i: usize| Vec3::from_slice(s.row(i)).as_dvec3();
+        let mean = |s: &Arrangement, i: usize| s.row(i).mean.as_dvec3();
         let center = (0..n).map(|i| mean(&s, i)).sum::<DVec3>() / n as f64;
         assert!(center.distance(mean(&before, 4)) < 1e-6);
         // The axes of its quaternion, 0.8 + 0.6 j.
@@ -384,7 +379,7 @@ mod tests {
             assert!(((own + apart) / whole - 1.0).abs() < 1e-3, "{k}: {own}");
         }
         for i in 0..n {
-            assert_eq!(s.row(i)[3..], s.row(0)[3..]);
+            assert_eq!(Geometry { mean: Vec3::ZERO, ..s.row(i) }, Geometry { mean: Vec3::ZERO, ..s.row(0) });
             assert!((f64::from(s.opacity(i)) - opacity / 0.8).abs() < 1e-6);
         }
         let all = state(n, 1);
@@ -399,19 +394,18 @@ mod tests {
         for (opacity, smoothing, expected) in [(0.3, 0.0, 0.375), (0.995, 0.0, 0.995), (0.3, 1.0, 0.6)] {
             let mut s = arrangement(2);
             for i in 0..2 {
-                let row = s.row_mut(i);
-                (row[0], row[OPACITY], row[SMOOTHING]) = (0.0, logit(opacity), smoothing);
-                row[LOG_SCALE].copy_from_slice(&[-5.0, -3.0, -4.0]);
+                let (mean, log_scale) = (Vec3::ZERO, Vec3::new(-5.0, -3.0, -4.0));
+                s.edit(i, |g| *g = Geometry { mean, opacity_logit: logit(opacity), log_scale, smoothing, ..*g });
             }
             set_apart(&mut s, std::iter::once((1, 0)));
             let share = if smoothing > 0.0 { 0.75_f32 } else { 0.36 };
-            let apart = Vec3::from_slice(s.row(0)) - Vec3::from_slice(s.row(1));
+            let apart = s.row(0).mean - s.row(1).mean;
             // Along the second axis, which the quaternion leaves where it is.
             assert!((apart.abs() - Vec3::Y * 2.0 * share.sqrt() * (-3.0_f32).exp()).length() < 1e-6, "{apart}");
-            let scales = [-5.0, -3.0 + 0.5 * (1.0 - share).ln(), -4.0];
+            let scales = Vec3::new(-5.0, -3.0 + 0.5 * (1.0 - share).ln(), -4.0);
             for i in 0..2 {
                 assert!((s.opacity(i) - expected).abs() < 1e-5, "{}", s.opacity(i));
-                assert!(s.row(i)[LOG_SCALE].iter().zip(scales).all(|(a, b)| (a - b).abs() < 1e-5));
+                assert!((s.row(i).log_scale - scales).abs().max_element() < 1e-5);
             }
         }
     }
@@ -460,12 +454,12 @@ mod tests {
         let mut s = arrangement(n);
         for i in 0..n {
             // Scales are 0.01: √(1 + 3)⁻³ = ⅛ is left of every other one, of the first 10⁻⁶.
-            s.row_mut(i)[SMOOTHING] = [0.01 * 3.0_f32.sqrt(), 0.0][i % 2];
+            s.edit(i, |g| g.smoothing = [0.01 * 3.0_f32.sqrt(), 0.0][i % 2]);
         }
-        s.row_mut(0)[SMOOTHING] = 1.0;
+        s.edit(0, |g| g.smoothing = 1.0);
         run(&mut s, &vec![SEEN; n], &McmcOptions { growth: 1.5, ..McmcOptions::new(3000, false) }, 1);
         assert_eq!(relocated_and_added(n, &s), (1, 1000));
-        let smoothed = (n..3000).filter(|&i| s.row(i)[SMOOTHING] > 0.0).count();
+        let smoothed = (n..3000).filter(|&i| s.row(i).smoothing > 0.0).count();
         // A ninth; five standard errors of a binomial distribution: 50.
         assert!((61..162).contains(&smoothed), "{smoothed}");
     }
@@ -499,7 +493,7 @@ mod tests {
         epoch.add(Statistics(&rows), 60);
         relocate_and_add(&mut s, &mut epoch, 60, &options, 660, 1);
         assert_eq!(relocated_and_added(8, &s), (2, 0));
-        assert_ne!((s.row(2)[0], s.row(5)[0]), (2.0, 5.0));
+        assert_ne!((s.row(2).mean.x, s.row(5).mean.x), (2.0, 5.0));
         assert_eq!(epoch, EpochWeight { weight: vec![0.0; 8], iterations: 0 });
         let mut pure = arrangement(8);
         run(&mut pure, &rows, &McmcOptions::new(8, false), 1);
@@ -534,7 +528,7 @@ mod tests {
         relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
         assert_eq!(relocated_and_added(n, &s), (0, 1000));
         let mut copies = [0; 4];
-        (n..5000).for_each(|i| copies[s.row(i)[0].round() as usize % 4] += 1);
+        (n..5000).for_each(|i| copies[s.row(i).mean.x.round() as usize % 4] += 1);
         // Five standard errors of a binomial distribution: 80.
         assert_eq!((copies[0] + copies[1], &copies[2..]), (1000, [0, 0].as_slice()));
         assert!((420..580).contains(&copies[0]), "{copies:?}");
@@ -552,7 +546,7 @@ mod tests {
     fn equal_input_gives_equal_output() {
         let once = |seed| {
             let mut s = arrangement(200);
-            (0..20).for_each(|i| s.row_mut(i)[OPACITY] = logit(0.001));
+            (0..20).for_each(|i| s.set_opacity(i, 0.001));
             run(&mut s, &[SEEN; 200], &McmcOptions::new(1000, false), seed);
             s
         };
@@ -563,7 +557,7 @@ mod tests {
     #[test]
     fn nothing_alive_or_nothing_at_all() {
         let mut s = arrangement(3);
-        (0..3).for_each(|i| s.row_mut(i)[OPACITY] = -20.0);
+        (0..3).for_each(|i| s.edit(i, |g| g.opacity_logit = -20.0));
         run(&mut s, &[SEEN; 3], &McmcOptions::new(100, false), 1);
         assert_eq!(relocated_and_added(3, &s), (0, 0));
         let mut none = Arrangement::default();

@@ -15,7 +15,7 @@ use crate::{
         density::mcmc::{self, EpochWeight},
         finite::check_finite,
         random::{self, Purpose},
-        resume::Saved,
+        resume::{HostState, Saved},
         schedule,
     },
     render::gpu::{
@@ -134,9 +134,14 @@ impl Run<'_> {
                 self.report(training, plan, done, look)?;
             }
             if saves && let Some(path) = self.session.checkpoints.file() {
-                let found = self.found.clone();
-                let past = self.log.past.clone();
-                let saved = Saved::capture(training, scene, self.log.reached, found, self.poses.as_ref(), epoch, past)?;
+                let host = HostState {
+                    reached: self.log.reached,
+                    found: self.found.clone(),
+                    poses: self.poses.as_ref(),
+                    epoch,
+                    past: self.log.past.clone(),
+                };
+                let saved = Saved::capture(training, scene, host)?;
                 let written = saved.write(path, &self.identity);
                 // Scores at the end of a phase take long enough for the user to stop the run there, and what follows
                 // longer.

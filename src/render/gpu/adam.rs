@@ -34,6 +34,18 @@ pub(crate) struct SplatFloats<'a> {
     pub(crate) sh: &'a Buffer,
 }
 
+/// Buffers that steps of [`SplatAdam`] read and write.
+pub(crate) struct AdamBuffers<'a> {
+    pub(crate) parameters: SplatFloats<'a>,
+    pub(crate) gradient: SplatFloats<'a>,
+    /// First and second moments.
+    pub(crate) moments: [SplatFloats<'a>; 2],
+    /// `array<u32>` `[N]`, non-zero for a splat that the view sees.
+    pub(crate) visible: &'a Buffer,
+    /// Status of the step (`shared/status.wgsl`).
+    pub(crate) status: &'a Buffer,
+}
+
 /// Learning rates of the splats' parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct SplatRates {
@@ -88,23 +100,12 @@ pub(crate) struct SplatAdam {
 }
 
 impl SplatAdam {
-    /// Stages for splats with `sh_floats` = 3·(degree+1)² SH floats each. `visible` is `array<u32>` `[N]`, non-zero for
-    /// a splat that the view sees; `status` is that of the step (`shared/status.wgsl`). [`Self::set`] must precede
-    /// recording.
+    /// Stages for splats with `sh_floats` = 3·(degree+1)² SH floats each. [`Self::set`] must precede recording.
     ///
     /// # Errors
     /// If the adapter has no memory left.
-    #[allow(clippy::too_many_arguments, reason = "each is another stage's")]
-    pub(crate) fn new(
-        gpu: &Gpu,
-        sh_floats: usize,
-        parameters: SplatFloats,
-        gradient: SplatFloats,
-        first_moment: SplatFloats,
-        second_moment: SplatFloats,
-        visible: &Buffer,
-        status: &Buffer,
-    ) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Gpu, sh_floats: usize, buffers: &AdamBuffers) -> Result<Self, GpuError> {
+        let &AdamBuffers { parameters, gradient, moments: [first_moment, second_moment], visible, status } = buffers;
         let uniform = gpu.uniform("Adam step", 16)?;
         let lanes = if sh_floats.is_multiple_of(4) { 4 } else { 1 };
         let defines = defines(gpu).with("SH_FLOATS", sh_floats as u32).with("FOURS", u32::from(lanes == 4));
@@ -208,7 +209,9 @@ mod tests {
 
         fn adam(&self, gpu: &Gpu) -> SplatAdam {
             let [p, g, m, v] = [0, 1, 2, 3].map(|i| SplatFloats { geometry: &self.geometry[i], sh: &self.sh[i] });
-            SplatAdam::new(gpu, self.sh_floats, p, g, m, v, &self.visible, &self.status).unwrap()
+            let Self { visible, status, .. } = self;
+            let buffers = AdamBuffers { parameters: p, gradient: g, moments: [m, v], visible, status };
+            SplatAdam::new(gpu, self.sh_floats, &buffers).unwrap()
         }
 
         fn run(&self, gpu: &Gpu, adam: &mut SplatAdam, step: AdamStep) {

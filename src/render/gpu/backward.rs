@@ -4,8 +4,9 @@ use super::{
     blend::{BlendBackward, moments},
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     front::Front,
+    geometry::GEOMETRY_FLOATS,
     pipeline::Pipeline,
-    splats::{GEOMETRY, with_sh},
+    splats::with_sh,
     view::View,
 };
 use crate::scene::sh;
@@ -118,7 +119,7 @@ impl SplatGradients {
     fn new(gpu: &Gpu, pipeline: &Pipeline, besides: Besides) -> Result<Self, GpuError> {
         let capacity = pipeline.front.splats.capacity;
         Ok(Self {
-            geometry: gpu.storage("geometry gradient", capacity * GEOMETRY)?,
+            geometry: gpu.storage("geometry gradient", capacity * GEOMETRY_FLOATS)?,
             sh: gpu.storage("SH gradient", capacity * 3 * sh::coefficients(pipeline.front.splats.sh_degree))?,
             statistics: gpu.storage("density statistics", capacity * 4)?,
             turn: turn_gradient(gpu, capacity, besides)?,
@@ -137,7 +138,7 @@ fn blend_backward(
     image_gradient: &Buffer,
     besides: Besides,
 ) -> Result<BlendBackward, GpuError> {
-    let Pipeline { front, blend } = pipeline;
+    let Pipeline { front, blend, .. } = pipeline;
     let Front { lists, view, splats, .. } = front;
     let sums = (splats.capacity, besides.absolute);
     BlendBackward::new(gpu, lists, blend, view, front.layers(), image_gradient, sums)

@@ -4,8 +4,8 @@ use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
     exposure::{ExposureState, ExposureStep, FLOATS},
+    geometry::GEOMETRY_FLOATS,
     loss::TruthAlpha,
-    splats::GEOMETRY,
     training::{Show, Step, Training},
     view::Dropout,
 };
@@ -111,8 +111,9 @@ fn nearness_counts_as_far_as_the_exposed_picture_is_the_photograph() {
         let most = testing::largest(slopes.iter().copied()) * picture.len() as f64 / f64::from(WEIGHT);
         assert!((0.6..0.8).contains(&most), "no pixel is 2/255 off: {most}");
         let expected = by_disparity(&scene, &camera, &slopes);
-        let rows =
-            |moments: &[f32]| moments.chunks_exact(GEOMETRY).flat_map(|row| row[..11].to_vec()).collect::<Vec<_>>();
+        let rows = |moments: &[f32]| {
+            moments.chunks_exact(GEOMETRY_FLOATS).flat_map(|row| row[..11].to_vec()).collect::<Vec<_>>()
+        };
         let pairs = rows(&with).into_iter().zip(rows(&without)).zip(&expected);
         let error = testing::largest(pairs.map(|((a, b), expected)| (10.0 * f64::from(a - b) - expected).abs()));
         let largest = testing::largest(expected.iter().map(|g| g.abs()));

@@ -4,7 +4,7 @@ use super::{
     blend::LayerBuffers,
     device::{Buffer, Frame, Gpu, GpuError},
     mesh::MeshStage,
-    splats::{ImageCapacity, Purpose, SplatBuffers, SplatLists, longer_list, longest_list},
+    splats::{ImageCapacity, ListInputs, Purpose, SplatBuffers, SplatLists, longer_list, longest_list},
     view::{VIEW_WORDS, View},
 };
 use crate::render::contract::ImageModel;
@@ -14,6 +14,9 @@ use crate::scene::{Camera, Composition, HybridScene};
 pub(crate) const PAIRS_PER_SPLAT: usize = 6;
 
 /// Buffers and stages of a frame before blending.
+///
+/// Buffers that no longer suffice are replaced. Stages elsewhere that bind them store the [`Self::generation`] at which
+/// they did so, and are bound anew before the next frame once it has changed.
 pub(crate) struct Front {
     pub(crate) view: Buffer,
     pub(crate) splats: SplatBuffers,
@@ -22,6 +25,10 @@ pub(crate) struct Front {
     pub(crate) lists: SplatLists,
     pub(crate) composition: Composition,
     pub(crate) image: ImageCapacity,
+    /// Number of times that splats or lists were replaced.
+    renewals: u64,
+    /// [`MeshStage::layer_generation`] that `lists` are bound to.
+    lists_bound_to: u64,
 }
 
 impl Front {
@@ -49,24 +56,44 @@ impl Front {
             mesh.make_room(gpu, cameras, &view)?;
         }
         let pairs = (capacity * PAIRS_PER_SPLAT + image.tiles).min(longest_list(gpu));
-        let lists = lists(gpu, purpose, &splats, image, pairs, &view, mesh.as_ref())?;
-        Ok(Self { view, splats, n_splats: scene.splats.len(), mesh, lists, composition: *composition, image })
+        let layer_depth = layers_to_order_by(mesh.as_ref(), purpose);
+        let inputs = ListInputs { purpose, splats: &splats, image, view: &view, layer_depth };
+        let lists = SplatLists::new(gpu, &inputs, pairs)?;
+        Ok(Self {
+            n_splats: scene.splats.len(),
+            composition: *composition,
+            image,
+            renewals: 0,
+            lists_bound_to: mesh.as_ref().map_or(0, MeshStage::layer_generation),
+            view,
+            splats,
+            mesh,
+            lists,
+        })
     }
 
-    /// Prepares a frame of this camera, which must not be larger than those announced. Returns the shaders' view, and
-    /// whether buffers were replaced.
-    pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<(View, bool), GpuError> {
+    /// Number of times that buffers which others bind were replaced.
+    pub(crate) fn generation(&self) -> u64 {
+        // Neither addend ever falls, so the sum changes with either.
+        self.renewals + self.mesh.as_ref().map_or(0, MeshStage::generation)
+    }
+
+    /// Prepares a frame of this camera, which must not be larger than those announced. Returns the shaders' view.
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<View, GpuError> {
         let splats = (self.n_splats, self.splats.sh_degree);
         let triangles = self.mesh.as_ref().map_or(0, MeshStage::n_triangles);
         let view = View::of_scene(camera, self.composition, splats, triangles, self.lists.pairs.capacity());
-        let grew = match &mut self.mesh {
-            Some(mesh) => mesh.resize(gpu, &view, &self.view)?,
-            None => false,
-        };
-        if grew {
+        if let Some(mesh) = &mut self.mesh {
+            mesh.resize(gpu, &view, &self.view)?;
+        }
+        if self.lists_bound_to != self.layer_generation() {
             self.renew_lists(gpu, self.lists.pairs.capacity())?;
         }
-        Ok((view, grew))
+        Ok(view)
+    }
+
+    fn layer_generation(&self) -> u64 {
+        self.mesh.as_ref().map_or(0, MeshStage::layer_generation)
     }
 
     /// Appends all stages from parameters to layers and lists.
@@ -83,8 +110,9 @@ impl Front {
     /// # Errors
     /// If the driver failed or the adapter cannot hold longer lists.
     pub(crate) fn grow_if_short(&mut self, gpu: &Gpu) -> Result<bool, GpuError> {
-        let needed = self.needed_lengths(gpu)?;
-        self.lengthen_lists(gpu, self.longer_lists(gpu, needed))
+        let longer = self.longer_lists(gpu, self.needed_lengths(gpu)?);
+        self.lengthen_lists(gpu, longer)?;
+        Ok(longer != [0; 2])
     }
 
     /// Entries that the lists of [`Self::list_lengths`] needed in the last frame. Waits for it.
@@ -107,20 +135,18 @@ impl Front {
         [self.lists.pairs.capacity(), self.mesh.as_ref().map_or(0, MeshStage::pair_capacity)]
     }
 
-    /// Enlarges the lists to at least these lengths. True if any was replaced.
+    /// Enlarges the lists to at least these lengths.
     ///
     /// # Errors
     /// If the adapter cannot hold them.
-    pub(crate) fn lengthen_lists(&mut self, gpu: &Gpu, [splats, triangles]: [usize; 2]) -> Result<bool, GpuError> {
-        let mesh_grew = match &mut self.mesh {
-            Some(mesh) => mesh.lengthen(gpu, &self.view, triangles)?,
-            None => false,
-        };
-        let short = splats > self.lists.pairs.capacity();
-        if short {
+    pub(crate) fn lengthen_lists(&mut self, gpu: &Gpu, [splats, triangles]: [usize; 2]) -> Result<(), GpuError> {
+        if let Some(mesh) = &mut self.mesh {
+            mesh.lengthen(gpu, &self.view, triangles)?;
+        }
+        if splats > self.lists.pairs.capacity() {
             self.renew_lists(gpu, splats)?;
         }
-        Ok(short || mesh_grew)
+        Ok(())
     }
 
     /// Replaces the splat buffers, returning the old ones, and the lists by ones with room for at least `pairs` pairs.
@@ -146,8 +172,12 @@ impl Front {
     }
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
+        self.renewals += 1;
         let purpose = self.lists.purpose();
-        self.lists = lists(gpu, purpose, &self.splats, self.image, pairs, &self.view, self.mesh.as_ref())?;
+        let layer_depth = layers_to_order_by(self.mesh.as_ref(), purpose);
+        let inputs = ListInputs { purpose, splats: &self.splats, image: self.image, view: &self.view, layer_depth };
+        self.lists = SplatLists::new(gpu, &inputs, pairs)?;
+        self.lists_bound_to = self.layer_generation();
         Ok(())
     }
 
@@ -158,17 +188,39 @@ impl Front {
     }
 }
 
-/// Lists of these splats; only under the EWA model are they ordered against layers before blending.
-fn lists(
-    gpu: &Gpu,
-    purpose: Purpose,
-    splats: &SplatBuffers,
-    image: ImageCapacity,
-    pairs: usize,
-    view: &Buffer,
-    mesh: Option<&MeshStage>,
-) -> Result<SplatLists, GpuError> {
+/// [`ListInputs::layer_depth`]: only under the EWA model are splats ordered against layers before blending.
+fn layers_to_order_by(mesh: Option<&MeshStage>, purpose: Purpose) -> Option<(&Buffer, u32)> {
     let is_ordered = !matches!(purpose, Purpose::Render(ImageModel::Ray(_)));
-    let depth = mesh.filter(|_| is_ordered).map(|m| (m.layer_depth(), m.layers()));
-    SplatLists::new(gpu, purpose, splats, image, pairs, view, depth)
+    mesh.filter(|_| is_ordered).map(|m| (m.layer_depth(), m.layers()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::testing::smooth_scene;
+    use crate::scene::OrderMode;
+
+    #[test]
+    fn every_replacement_makes_another_generation() {
+        let gpu = Gpu::open(None).unwrap();
+        let (scene, camera) = smooth_scene(1, 2, OrderMode::Stable);
+        let mut front = Front::new(&gpu, &scene, 0, &[camera], Purpose::Render(ImageModel::Ewa), None).unwrap();
+        let [pairs, triangles] = front.list_lengths();
+        let mut renews = |change: &dyn Fn(&mut Front) -> Result<(), GpuError>| {
+            let before = front.generation();
+            change(&mut front).unwrap();
+            assert_eq!(front.lists_bound_to, front.layer_generation(), "lists are never left behind");
+            front.generation() > before
+        };
+        let k = camera.intrinsics();
+        let larger = camera.resized(2 * k.width, 2 * k.height);
+        let sh_degree = scene.splats.sh_degree();
+        assert!(!renews(&|f| f.prepare(&gpu, &camera).map(drop)));
+        assert!(!renews(&|f| f.lengthen_lists(&gpu, [pairs, triangles])));
+        assert!(renews(&|f| f.lengthen_lists(&gpu, [pairs + 1, 0])));
+        assert!(renews(&|f| f.lengthen_lists(&gpu, [0, triangles + 1])));
+        assert!(renews(&|f| f.empty_lists(&gpu)));
+        assert!(renews(&|f| f.replace_splats(&gpu, SplatBuffers::new(&gpu, 9, sh_degree)?, 0).map(drop)));
+        assert!(renews(&|f| f.prepare(&gpu, &larger).map(drop)), "layers of more pixels");
+    }
 }

@@ -70,6 +70,8 @@ pub struct LayeredRenderer<'g> {
     /// Progress of each pixel, where one dispatch may not finish them (`shaders/shared/layered.wgsl`).
     progress: Option<Buffer>,
     blend: Stage,
+    /// [`Front::generation`] that `blend` is bound to.
+    bound_to: u64,
 }
 
 impl<'g> LayeredRenderer<'g> {
@@ -84,7 +86,8 @@ impl<'g> LayeredRenderer<'g> {
         let words = PROGRESS * (1 + front.image.pixels);
         let progress = gpu.loop_passes().map(|_| gpu.storage("progress of the picture", words)).transpose()?;
         let blend = blend(gpu, model, &front, &parts, progress.as_ref());
-        Ok(Self { gpu, model, front, parts, progress, blend })
+        let bound_to = front.generation();
+        Ok(Self { gpu, model, front, parts, progress, blend, bound_to })
     }
 
     /// Renders one picture and waits for it.
@@ -96,9 +99,7 @@ impl<'g> LayeredRenderer<'g> {
         self.front.image.check(camera)?;
         loop {
             self.submit(camera)?;
-            let grew = self.front.grow_if_short(self.gpu)?;
-            self.rebind(grew);
-            if !grew {
+            if !self.front.grow_if_short(self.gpu)? {
                 break;
             }
         }
@@ -126,8 +127,8 @@ impl<'g> LayeredRenderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let (view, renewed) = self.front.prepare(self.gpu, camera)?;
-        self.rebind(renewed);
+        let view = self.front.prepare(self.gpu, camera)?;
+        self.refresh();
         let mut frame = Frame::new(self.gpu);
         self.progress.iter().for_each(|progress| frame.clear(progress));
         self.front.record(self.gpu, &mut frame, &view);
@@ -136,9 +137,12 @@ impl<'g> LayeredRenderer<'g> {
         Ok(())
     }
 
-    fn rebind(&mut self, renewed: bool) {
-        if renewed {
+    /// Binds the blend to the present buffers, if any was replaced.
+    fn refresh(&mut self) {
+        let generation = self.front.generation();
+        if self.bound_to != generation {
             self.blend = blend(self.gpu, self.model, &self.front, &self.parts, self.progress.as_ref());
+            self.bound_to = generation;
         }
     }
 

@@ -44,6 +44,21 @@ impl LossValues {
     }
 }
 
+/// Buffers that the loss reads and writes.
+pub(crate) struct LossBuffers<'a> {
+    /// The view's uniform.
+    pub(crate) view: &'a Buffer,
+    /// `array<vec4f>` `[h·w]`, rgb and final transmittance.
+    pub(crate) image: &'a Buffer,
+    /// `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied.
+    pub(crate) truth: &'a Buffer,
+    /// `array<vec4f>` `[h·w]`, receives ∂L/∂rgb and the slope by the pixel's disparity; with exposures rgb is what
+    /// these make of the image.
+    pub(crate) gradient: &'a Buffer,
+    /// `array<vec4f>` `[V·3]`, see `exposure.wgsl`.
+    pub(crate) exposures: Option<&'a Buffer>,
+}
+
 /// Photometric loss L1 + D-SSIM (Kerbl et al. 2023, eq. 7).
 pub(crate) struct Loss {
     forward: Stage,
@@ -57,26 +72,17 @@ pub(crate) struct Loss {
 
 impl Loss {
     /// Stages for views of these sizes (width, height), pixels, and smaller ones of the same shape: the size of a
-    /// frame's image is the one in `view_uniform`.
-    ///
-    /// * `image`: `array<vec4f>` `[h·w]`, rgb and final transmittance
-    /// * `truth`: `array<u32>` `[h·w]`, RGBA8 with r in the low byte, alpha not premultiplied
-    /// * `gradient`: `array<vec4f>` `[h·w]`, receives ∂L/∂rgb and the slope by the pixel's disparity; with exposures rgb is what these make of the image
-    /// * `exposures`: `array<vec4f>` `[V·3]`, see `exposure.wgsl`
+    /// frame's image is the one in the view's uniform.
     ///
     /// # Errors
     /// If the adapter cannot hold the intermediate maps (48 bytes per pixel).
-    #[allow(clippy::too_many_arguments, reason = "each buffer is another stage's")]
     pub(crate) fn new(
         gpu: &Gpu,
         sizes: &[(usize, usize)],
-        image: &Buffer,
-        truth: &Buffer,
-        gradient: &Buffer,
-        view_uniform: &Buffer,
         ssim_weight: f32,
-        exposures: Option<&Buffer>,
+        buffers: &LossBuffers,
     ) -> Result<Self, GpuError> {
+        let &LossBuffers { view, image, truth, gradient, exposures } = buffers;
         let tiling = if gpu.profile().is_cpu { SERIAL } else { PARALLEL };
         let defines = (gpu.defines().with("EXPOSURE", u32::from(exposures.is_some())))
             .with("WIDTH", tiling.width as u32)
@@ -87,7 +93,7 @@ impl Loss {
         let weights = gpu.uniform("loss weights", 4)?;
         let slopes = gpu.storage("SSIM slopes", 12 * pixels)?;
         let means = gpu.storage("loss means", 2 * n_tiles)?;
-        let mut buffers = vec![view_uniform, &weights, image, truth, &slopes, gradient, &means];
+        let mut buffers = vec![view, &weights, image, truth, &slopes, gradient, &means];
         buffers.extend(exposures);
         let stage = |entry| Stage::new(gpu, tiling.file, entry, &defines, &buffers);
         let (forward, backward) = (stage("forward"), stage("backward"));
@@ -271,9 +277,10 @@ pub(super) mod tests {
             let truth = gpu.storage_with("truth", &self.truth).unwrap();
             let gradient = gpu.storage_with("gradient", &vec![[7f32; 4]; w * h]).unwrap();
             // One tile more than needed, as for a smaller view of a set.
-            let loss =
-                Loss::new(gpu, &[(w + PARALLEL.width, h)], &image, &truth, &gradient, &uniform, ssim_weight, None)
-                    .unwrap();
+            let sizes = [(w + PARALLEL.width, h)];
+            let buffers =
+                LossBuffers { view: &uniform, image: &image, truth: &truth, gradient: &gradient, exposures: None };
+            let loss = Loss::new(gpu, &sizes, ssim_weight, &buffers).unwrap();
             loss.set_truth(gpu, self.alpha, 0);
             let mut frame = Frame::new(gpu);
             loss.record(&mut frame);

@@ -1,6 +1,6 @@
 //! Memory needed for training.
 
-use super::{blend::moments, device::Gpu, front::PAIRS_PER_SPLAT, mesh::BIN, state::GEOMETRY_FLOATS, view::TILE};
+use super::{blend::moments, device::Gpu, front::PAIRS_PER_SPLAT, geometry::GEOMETRY_FLOATS, mesh::BIN, view::TILE};
 use crate::scene::sh;
 
 /// Room for additional splats in buffers, as a fraction of those there are: growing means new buffers.

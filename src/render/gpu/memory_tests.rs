@@ -4,9 +4,9 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
 use super::{
     Gpu, LayeredRenderer, Renderer,
+    geometry::GEOMETRY_FLOATS,
     memory::{TrainingSize, training_bytes},
     rows::Source,
-    splats::GEOMETRY,
     training::{Show, Training},
     vertices::VertexState,
 };
@@ -107,7 +107,7 @@ fn growing_takes_what_the_larger_buffers_take() {
     let gpu = Gpu::open(None).unwrap();
     let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
     let sources: Vec<Source> = (0..after).map(|i| Source::new(i % before)).collect();
-    training.rearrange(&vec![0.0; after * GEOMETRY], &sources).unwrap();
+    training.rearrange(&vec![0.0; after * GEOMETRY_FLOATS], &sources).unwrap();
     let (grown, made) = (gpu.peak_bytes() as f64, peak(after, 64, 64, Kind::Training));
     // The list of what goes where is no part of the account.
     assert!((0.99..1.01).contains(&(grown / made)), "{grown} bytes, not {made}");
@@ -148,7 +148,7 @@ fn longer_lists_take_what_they_hold() {
     assert!((0.99..1.01).contains(&(found / stated)), "{found} bytes, not {stated}");
 
     let sources: Vec<Source> = (0..after).map(|i| Source::new(i % before)).collect();
-    training.rearrange(&vec![0.0; after * GEOMETRY], &sources).unwrap();
+    training.rearrange(&vec![0.0; after * GEOMETRY_FLOATS], &sources).unwrap();
     assert_eq!(training.list_lengths()[0], pairs, "they are as long as they were");
     let (grown, stated) = (gpu.peak_bytes() as f64, with_pairs(after, pairs));
     assert!((0.99..1.01).contains(&(grown / stated)), "{grown} bytes, not {stated}");

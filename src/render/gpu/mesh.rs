@@ -27,7 +27,12 @@ pub(crate) struct MeshStage {
     vertices: Option<Vertices>,
     kernels: Kernels,
     screen: Screen,
-    bound: Option<Bound>,
+    /// Bound to `screen`; `None` until there is room for a view.
+    stages: Option<Stages>,
+    /// Of the view that frames are recorded for; `None` before the first.
+    extent: Option<Extent>,
+    generation: u64,
+    layer_generation: u64,
     trainable: bool,
 }
 
@@ -68,13 +73,19 @@ struct Kernels {
     backward: Kernel,
 }
 
-struct Bound {
+/// Sizes of the dispatches for a view.
+#[derive(Clone, Copy)]
+struct Extent {
     bins: usize,
     /// Threads that process the triangles' bins.
     binning_threads: usize,
+    /// Pixels of all layers.
     fragments: usize,
     /// Threads of the texel gradients for all layers.
     texel_threads: usize,
+}
+
+struct Stages {
     setup: Stage,
     count: Stage,
     scan: Stage,
@@ -113,6 +124,21 @@ pub(super) fn binning_shares(triangles: usize, bins: usize, most_bins: usize) ->
 /// Number of bins of a picture.
 fn bins(k: &Intrinsics) -> usize {
     k.width.div_ceil(BIN) as usize * k.height.div_ceil(BIN) as usize
+}
+
+impl Extent {
+    /// Extent of a picture with `layers` layers of `triangles` triangles.
+    fn new(gpu: &Gpu, k: &Intrinsics, layers: u32, triangles: usize) -> Self {
+        let (_, [w, h], threads) = texel_backward(gpu);
+        let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
+        let (bins, layers) = (bins(k), layers as usize);
+        Self {
+            bins,
+            binning_threads: triangles * binning_shares(triangles, bins, most_bins(gpu)),
+            fragments: layers * k.pixels(),
+            texel_threads: layers * of_layer,
+        }
+    }
 }
 
 impl Geometry {
@@ -210,48 +236,58 @@ impl MeshStage {
             vertices: None,
             kernels,
             screen: Screen::new(gpu, layers, 0, 0, 0, trainable)?,
-            bound: None,
+            stages: None,
+            extent: None,
+            generation: 0,
+            layer_generation: 0,
             trainable,
         })
     }
 
-    /// Makes room for pictures of these cameras. `view_uniform` must be the same buffer in every call. Buffers only grow. True if the layer
-    /// buffers were replaced: bindings to them must be renewed.
+    /// Number of times that buffers of the layers or of [`Self::pairs`] were replaced: what is bound to those of
+    /// another generation is out of date.
+    pub(crate) fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// Number of times that buffers of the layers were replaced, likewise.
+    pub(crate) fn layer_generation(&self) -> u64 {
+        self.layer_generation
+    }
+
+    /// Makes room for pictures of these cameras. `view_uniform` must be the same buffer in every call. Buffers only
+    /// grow.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
-    pub(crate) fn make_room(&mut self, gpu: &Gpu, cameras: &[Camera], view_uniform: &Buffer) -> Result<bool, GpuError> {
+    pub(crate) fn make_room(&mut self, gpu: &Gpu, cameras: &[Camera], view_uniform: &Buffer) -> Result<(), GpuError> {
         if self.n_triangles == 0 {
-            return Ok(false);
+            return Ok(());
         }
         let sizes = cameras.iter().map(|camera| (camera.intrinsics().pixels(), bins(camera.intrinsics())));
         let (pixels, bins) = sizes.fold((0, 0), |most, size| (most.0.max(size.0), most.1.max(size.1)));
-        let grow = self.bound.is_none() || pixels > self.screen.pixels || bins > self.screen.bins;
+        let grow = self.stages.is_none() || pixels > self.screen.pixels || bins > self.screen.bins;
         if grow {
             let (pixels, bins) = (pixels.max(self.screen.pixels), bins.max(self.screen.bins));
             // A triangle of a dense mesh is in one to four bins; large ones fill the screen a few times over.
             let capacity =
                 (4 * self.n_triangles + 16 * bins).min(gpu.max_binding_bytes() as usize / 4).max(self.screen.capacity);
             self.screen = Screen::new(gpu, self.layers, pixels, bins, capacity, self.trainable)?;
-            self.bound = Some(self.bind(gpu, view_uniform));
+            self.generation += 1;
+            self.layer_generation += 1;
+            self.stages = Some(self.bind(gpu, view_uniform));
         }
-        Ok(grow)
+        Ok(())
     }
 
     /// As [`Self::make_room`] for a view, which sets the size of frames recorded from now on.
     ///
     /// # Errors
     /// If a buffer exceeds what the adapter binds.
-    pub(crate) fn resize(&mut self, gpu: &Gpu, view: &View, view_uniform: &Buffer) -> Result<bool, GpuError> {
-        let grew = self.make_room(gpu, &[view.camera], view_uniform)?;
-        if let Some(bound) = &mut self.bound {
-            let (k, layers) = (view.camera.intrinsics(), self.layers as usize);
-            let (_, [w, h], threads) = texel_backward(gpu);
-            let of_layer = threads as usize * k.width.div_ceil(w) as usize * k.height.div_ceil(h) as usize;
-            (bound.bins, bound.fragments, bound.texel_threads) = (bins(k), layers * k.pixels(), layers * of_layer);
-            bound.binning_threads = self.n_triangles * binning_shares(self.n_triangles, bins(k), most_bins(gpu));
-        }
-        Ok(grew)
+    pub(crate) fn resize(&mut self, gpu: &Gpu, view: &View, view_uniform: &Buffer) -> Result<(), GpuError> {
+        self.make_room(gpu, &[view.camera], view_uniform)?;
+        self.extent = Some(Extent::new(gpu, view.camera.intrinsics(), self.layers, self.n_triangles));
+        Ok(())
     }
 
     /// Largest number of (bin, triangle) pairs that a frame has needed; frames that needed more than the capacity lack
@@ -273,24 +309,28 @@ impl MeshStage {
         [&self.geometry.pairs_needed, &self.screen.pairs]
     }
 
-    /// Makes room for at least this many pairs; true if there was less.
+    /// Makes room for at least this many pairs.
     ///
     /// # Errors
     /// If the list exceeds what the adapter binds.
-    pub(crate) fn lengthen(&mut self, gpu: &Gpu, view_uniform: &Buffer, pairs: usize) -> Result<bool, GpuError> {
-        if pairs <= self.screen.capacity {
-            return Ok(false);
+    pub(crate) fn lengthen(&mut self, gpu: &Gpu, view_uniform: &Buffer, pairs: usize) -> Result<(), GpuError> {
+        if pairs > self.screen.capacity {
+            self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", pairs)?;
+            self.screen.capacity = pairs;
+            self.generation += 1;
+            self.rebind(gpu, view_uniform);
         }
-        self.screen.pairs = gpu.storage("mesh (bin, triangle) pairs", pairs)?;
-        self.screen.capacity = pairs;
-        if let Some(Bound { bins, binning_threads, fragments, texel_threads, .. }) = self.bound {
-            let bound = self.bind(gpu, view_uniform);
-            self.bound = Some(Bound { bins, binning_threads, fragments, texel_threads, ..bound });
-        }
-        Ok(true)
+        Ok(())
     }
 
-    fn bind(&self, gpu: &Gpu, view: &Buffer) -> Bound {
+    /// Binds the stages anew, if there are any.
+    fn rebind(&mut self, gpu: &Gpu, view: &Buffer) {
+        if self.stages.is_some() {
+            self.stages = Some(self.bind(gpu, view));
+        }
+    }
+
+    fn bind(&self, gpu: &Gpu, view: &Buffer) -> Stages {
         let (g, s, t, k) = (&self.geometry, &self.screen, &self.texels, &self.kernels);
         let bin = [view, &g.corners, &g.boxes, &s.bin_fill, &s.bin_start, &s.pairs, &g.pairs_needed];
         let fragment = [view, &s.layer_triangle, &g.corners, &g.corner_uvs, &g.maps];
@@ -302,11 +342,7 @@ impl MeshStage {
             [peak, k.backward.bind(gpu, &[&fragment[..], own].concat())]
         });
         let raster = [view, &g.corners, &s.bin_start, &s.bin_fill, &s.pairs, &s.layer_depth, &s.layer_triangle];
-        Bound {
-            bins: 0,
-            binning_threads: 0,
-            fragments: 0,
-            texel_threads: 0,
+        Stages {
             setup: k.setup.bind(gpu, &[view, &g.positions, &g.triangles, &g.corners, &g.boxes]),
             count: k.count.bind(gpu, &bin),
             scan: k.scan.bind(gpu, &bin),
@@ -336,10 +372,7 @@ impl MeshStage {
         let defines = gpu.defines().with("LAYERS", self.layers).with("BANDS", self.texels.band_coefficients());
         let besides = [status, self.texels.peaks()];
         self.vertices = Some(Vertices::new(gpu, &defines, meshes, &self.geometry.positions, besides, state)?);
-        if let Some(Bound { bins, binning_threads, fragments, texel_threads, .. }) = self.bound {
-            let bound = self.bind(gpu, view_uniform);
-            self.bound = Some(Bound { bins, binning_threads, fragments, texel_threads, ..bound });
-        }
+        self.rebind(gpu, view_uniform);
         Ok(())
     }
 
@@ -409,31 +442,36 @@ impl MeshStage {
         gpu.read(&self.screen.layer_triangle, pixels)
     }
 
+    /// Stages and sizes of their dispatches, once there is a view.
+    fn bound(&self) -> Option<(&Stages, Extent)> {
+        self.stages.as_ref().zip(self.extent)
+    }
+
     /// Appends depths and colours of all layers for the view in the uniform.
     pub(crate) fn record_forward(&self, frame: &mut Frame) {
-        let Some(bound) = &self.bound else { return };
-        frame.dispatch_threads(&bound.setup, self.n_triangles);
-        frame.dispatch_threads(&bound.count, bound.binning_threads);
-        frame.dispatch(&bound.scan, 1);
-        frame.dispatch_threads(&bound.scatter, bound.binning_threads);
-        frame.dispatch(&bound.raster, bound.bins);
-        frame.dispatch_threads(&bound.shade, bound.fragments);
+        let Some((stages, extent)) = self.bound() else { return };
+        frame.dispatch_threads(&stages.setup, self.n_triangles);
+        frame.dispatch_threads(&stages.count, extent.binning_threads);
+        frame.dispatch(&stages.scan, 1);
+        frame.dispatch_threads(&stages.scatter, extent.binning_threads);
+        frame.dispatch(&stages.raster, extent.bins);
+        frame.dispatch_threads(&stages.shade, extent.fragments);
     }
 
     /// Appends the gradients of all texels from `layer_gradient`; nothing unless trainable.
     pub(crate) fn record_backward(&self, frame: &mut Frame) {
-        let Some(Bound { backward: Some([peak, texels]), fragments, texel_threads, .. }) = &self.bound else { return };
+        let Some((Stages { backward: Some([peak, texels]), .. }, extent)) = self.bound() else { return };
         self.texels.record_zero_gradients(frame);
-        frame.dispatch_threads(peak, groups(*fragments, PEAK_FRAGMENTS));
-        frame.dispatch_threads(texels, *texel_threads);
+        frame.dispatch_threads(peak, groups(extent.fragments, PEAK_FRAGMENTS));
+        frame.dispatch_threads(texels, extent.texel_threads);
     }
 
     /// Appends the gradients of free vertices from `layer_gradient`, which is overwritten, and the maps as rendered;
     /// after `record_backward`.
     pub(crate) fn record_vertex_backward(&self, frame: &mut Frame) {
-        let Some(Bound { vertices: Some(stages), fragments, .. }) = &self.bound else { return };
+        let Some((Stages { vertices: Some(stages), .. }, extent)) = self.bound() else { return };
         if let Some(free) = &self.vertices {
-            free.record_backward(frame, stages, *fragments);
+            free.record_backward(frame, stages, extent.fragments);
         }
     }
 

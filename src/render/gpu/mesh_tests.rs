@@ -314,10 +314,14 @@ fn a_short_pair_list_grows() {
     let view = view(96, 64, DMat3::IDENTITY, 4, &meshes);
     let mut rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, false);
     let needed = rig.stage.pairs_needed(&rig.gpu).unwrap();
-    assert!(rig.stage.lengthen(&rig.gpu, &rig.uniform, needed).unwrap());
+    let generations = |rig: &Rig| (rig.stage.generation(), rig.stage.layer_generation());
+    let (all, layers) = generations(&rig);
+    rig.stage.lengthen(&rig.gpu, &rig.uniform, needed).unwrap();
+    assert_eq!(generations(&rig), (all + 1, layers), "layers stay");
     rig.forward(&view);
     assert_eq!(rig.stage.pairs_needed(&rig.gpu).unwrap(), needed);
-    assert!(!rig.stage.lengthen(&rig.gpu, &rig.uniform, needed).unwrap());
+    rig.stage.lengthen(&rig.gpu, &rig.uniform, needed).unwrap();
+    assert_eq!(generations(&rig), (all + 1, layers), "it was long enough");
     rig.check(&view, &meshes, "after growing");
 }
 
@@ -381,7 +385,8 @@ fn assert_no_cracks(meshes: &[Mesh]) {
 fn no_mesh_costs_nothing() {
     let view = view(64, 64, DMat3::IDENTITY, 4, &[]);
     let mut rig = Rig::new(Gpu::open(None).unwrap(), &view, &[], true);
-    assert!(!rig.stage.resize(&rig.gpu, &view, &rig.uniform).unwrap());
+    rig.stage.resize(&rig.gpu, &view, &rig.uniform).unwrap();
+    assert_eq!(rig.stage.generation(), 0);
     let mut frame = Frame::new(&rig.gpu);
     rig.stage.record_forward(&mut frame);
     rig.stage.record_backward(&mut frame);

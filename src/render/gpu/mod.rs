@@ -13,6 +13,7 @@ mod exposure_tests;
 mod front;
 #[cfg(test)]
 mod gather_tests;
+mod geometry;
 mod layered;
 #[cfg(test)]
 mod layered_tests;

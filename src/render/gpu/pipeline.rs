@@ -16,6 +16,8 @@ use crate::scene::{Camera, HybridScene};
 pub(crate) struct Pipeline {
     pub(crate) front: Front,
     pub(crate) blend: Blend,
+    /// [`Front::generation`] that `blend` is bound to.
+    bound_to: u64,
 }
 
 impl Pipeline {
@@ -31,18 +33,20 @@ impl Pipeline {
         let purpose = if status.is_some() { Purpose::Train } else { Purpose::Render(ImageModel::Ewa) };
         let front = Front::new(gpu, scene, capacity, cameras, purpose, status)?;
         let blend = Blend::new(gpu, &front.lists, front.image, &front.view, front.layers())?;
-        Ok(Self { front, blend })
+        let bound_to = front.generation();
+        Ok(Self { front, blend, bound_to })
     }
 
     /// As [`Front::prepare`].
-    pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<(View, bool), GpuError> {
-        let (view, grew) = self.front.prepare(gpu, camera)?;
-        self.rebind(gpu, grew);
-        Ok((view, grew))
+    pub(crate) fn prepare(&mut self, gpu: &Gpu, camera: &Camera) -> Result<View, GpuError> {
+        let view = self.front.prepare(gpu, camera)?;
+        self.refresh(gpu);
+        Ok(view)
     }
 
     /// Appends all stages from parameters to the image.
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, view: &View) {
+        debug_assert_eq!(self.bound_to, self.front.generation(), "frames are prepared");
         self.front.record(gpu, frame, view);
         self.blend.record(frame, view.n_tiles());
     }
@@ -52,9 +56,9 @@ impl Pipeline {
     /// # Errors
     /// If the driver failed or the adapter cannot hold longer lists.
     pub(crate) fn grow_if_short(&mut self, gpu: &Gpu) -> Result<bool, GpuError> {
-        let grew = self.front.grow_if_short(gpu)?;
-        self.rebind(gpu, grew);
-        Ok(grew)
+        let was_short = self.front.grow_if_short(gpu)?;
+        self.refresh(gpu);
+        Ok(was_short)
     }
 
     /// Pixels of the largest image.
@@ -66,10 +70,10 @@ impl Pipeline {
     ///
     /// # Errors
     /// If the adapter cannot hold them.
-    pub(crate) fn lengthen_lists(&mut self, gpu: &Gpu, lengths: [usize; 2]) -> Result<bool, GpuError> {
-        let grew = self.front.lengthen_lists(gpu, lengths)?;
-        self.rebind(gpu, grew);
-        Ok(grew)
+    pub(crate) fn lengthen_lists(&mut self, gpu: &Gpu, lengths: [usize; 2]) -> Result<(), GpuError> {
+        self.front.lengthen_lists(gpu, lengths)?;
+        self.refresh(gpu);
+        Ok(())
     }
 
     /// As [`Front::replace_splats`].
@@ -80,21 +84,23 @@ impl Pipeline {
         pairs: usize,
     ) -> Result<SplatBuffers, GpuError> {
         let before = self.front.replace_splats(gpu, splats, pairs)?;
-        self.rebind(gpu, true);
+        self.refresh(gpu);
         Ok(before)
     }
 
     /// As [`Front::empty_lists`].
     pub(crate) fn empty_lists(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
         self.front.empty_lists(gpu)?;
-        self.rebind(gpu, true);
+        self.refresh(gpu);
         Ok(())
     }
 
-    /// Rebinds the blend to the present lists, if they were replaced.
-    fn rebind(&mut self, gpu: &Gpu, renewed: bool) {
-        if renewed {
+    /// Binds the blend to the present buffers, if any was replaced, so that those of before are freed.
+    fn refresh(&mut self, gpu: &Gpu) {
+        let generation = self.front.generation();
+        if self.bound_to != generation {
             self.blend.rebind(gpu, &self.front.lists, &self.front.view, self.front.layers());
+            self.bound_to = generation;
         }
     }
 

@@ -42,7 +42,7 @@ impl<'g> Renderer<'g> {
     pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
         self.pipeline.front.image.check(camera)?;
         loop {
-            let (view, _) = self.pipeline.prepare(self.gpu, camera)?;
+            let view = self.pipeline.prepare(self.gpu, camera)?;
             let depth = self.pipeline.submit_median_depth(self.gpu, &view)?;
             if !self.pipeline.grow_if_short(self.gpu)? {
                 return self.gpu.read(&depth, view.pixels());
@@ -65,7 +65,7 @@ impl<'g> Renderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let (view, _) = self.pipeline.prepare(self.gpu, camera)?;
+        let view = self.pipeline.prepare(self.gpu, camera)?;
         let mut frame = Frame::new(self.gpu);
         self.pipeline.record(self.gpu, &mut frame, &view);
         frame.submit();

@@ -2,7 +2,7 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Kernel},
-    splats::{GEOMETRY, OPACITY},
+    geometry::{GEOMETRY_FLOATS, OPACITY},
 };
 
 /// Index of the splat whose SH coefficients and Adam moments another takes over, with flags.
@@ -88,7 +88,7 @@ impl RowGather {
     pub(crate) fn new(gpu: &Gpu, sh_floats: usize) -> Result<Self, GpuError> {
         let kernels = [Rows::Parameters, Rows::ShMoments, Rows::GeometryMoments].map(|what| {
             let (width, opacity) = match what {
-                Rows::GeometryMoments => (GEOMETRY, OPACITY),
+                Rows::GeometryMoments => (GEOMETRY_FLOATS, OPACITY),
                 Rows::Parameters | Rows::ShMoments => (sh_floats, sh_floats),
             };
             let defines = (gpu.defines().with("WIDTH", width as u32).with("OPACITY", opacity as u32))
@@ -121,7 +121,7 @@ impl RowGather {
         gpu.write(&self.size, 0, &[changes.len() as u32, 0, 0, 0]);
         let mut frame = Frame::new(gpu);
         for &(what, buffer, fetched) in buffers {
-            let width = if what == Rows::GeometryMoments { GEOMETRY } else { self.sh_floats };
+            let width = if what == Rows::GeometryMoments { GEOMETRY_FLOATS } else { self.sh_floats };
             for kernel in &self.kernels[what as usize] {
                 let stage = kernel.bind(gpu, &[&self.size, &list, buffer, fetched]);
                 frame.dispatch_threads(&stage, changes.len() * width);
@@ -158,10 +158,10 @@ mod tests {
             let mut random = |n: usize| (0..n).map(|_| rng.random_range(0.5..1.5)).collect::<Vec<f32>>();
             let mut all = SplatState {
                 sh_degree,
-                geometry: random(n * GEOMETRY),
+                geometry: random(n * GEOMETRY_FLOATS),
                 sh: random(n * sh_floats),
-                geometry_m: random(n * GEOMETRY),
-                geometry_v: random(n * GEOMETRY),
+                geometry_m: random(n * GEOMETRY_FLOATS),
+                geometry_v: random(n * GEOMETRY_FLOATS),
                 sh_m: random(n * sh_floats),
                 sh_v: random(n * sh_floats),
             };
@@ -180,7 +180,7 @@ mod tests {
                 let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
                 training.write_splats(&all).unwrap();
                 training.write_statistics(&vec![1.0; 4 * n]);
-                let geometry = random(sources.len() * GEOMETRY);
+                let geometry = random(sources.len() * GEOMETRY_FLOATS);
                 training.rearrange(&geometry, &sources).unwrap();
                 let expected = all.rearranged(&geometry, &sources);
                 assert!(training.read_splats().unwrap() == expected, "{} of degree {sh_degree}", sources.len());
@@ -194,7 +194,7 @@ mod tests {
     fn moments_are_kept_or_begin_anew() {
         let rows: Vec<f32> = (1..=36).map(|v| v as f32).collect();
         let sources = [Source::new(2), Source::new(1).without_moments(), Source::new(0).without_opacity_moments()];
-        let gathered = |what| Source::gather(&sources, &rows, GEOMETRY, what);
+        let gathered = |what| Source::gather(&sources, &rows, GEOMETRY_FLOATS, what);
         let parameters = gathered(Rows::Parameters);
         assert_eq!(parameters, [&rows[24..], &rows[12..24], &rows[..12]].concat());
         let mut moments = parameters;

@@ -2,6 +2,7 @@
 
 use super::{
     device::{Buffer, Frame, Gpu, GpuError, Stage},
+    geometry::{GEOMETRY_FLOATS, Geometry},
     scan::{DispatchSizes, Items, Scan},
     shader::Defines,
     sort::{self, Sort},
@@ -13,12 +14,6 @@ use crate::scene::{Camera, Splats, sh};
 
 /// Bits of a depth key, see `compact_visible.wgsl`.
 const DEPTH_BITS: u32 = 28;
-
-/// Floats of a splat in the geometry buffer: mean, opacity logit, quaternion (w, x, y, z), log-scale, and the standard
-/// deviation of the Gaussian that it is smoothed with while training (`filter_splats.wgsl`).
-pub(crate) const GEOMETRY: usize = 12;
-/// Column of the opacity logit among them.
-pub(crate) const OPACITY: usize = 3;
 
 /// Splat parameters in the shaders' layout.
 pub(crate) struct SplatBuffers {
@@ -35,7 +30,7 @@ impl SplatBuffers {
     pub(crate) fn new(gpu: &Gpu, capacity: usize, sh_degree: u32) -> Result<Self, GpuError> {
         let capacity = capacity.max(1);
         Ok(Self {
-            geometry: gpu.storage("splat geometry", capacity * GEOMETRY)?,
+            geometry: gpu.storage("splat geometry", capacity * GEOMETRY_FLOATS)?,
             sh: gpu.storage("splat SH", capacity * 3 * sh::coefficients(sh_degree))?,
             capacity,
             sh_degree,
@@ -61,12 +56,16 @@ pub(super) fn with_sh(defines: Defines, sh_degree: u32) -> Defines {
 
 /// Geometry of splats in the layout of the geometry buffer, `[N·12]` floats.
 pub(crate) fn pack_geometry(splats: &Splats) -> Vec<f32> {
-    let mut out = Vec::with_capacity(splats.len() * GEOMETRY);
+    let mut out = Vec::with_capacity(splats.len() * GEOMETRY_FLOATS);
     for i in 0..splats.len() {
-        let (m, q, s) = (splats.means()[i], splats.rotations()[i], splats.log_scales()[i]);
-        out.extend([m.x, m.y, m.z, splats.opacity_logits()[i]]);
-        out.extend([q.w, q.x, q.y, q.z]);
-        out.extend([s.x, s.y, s.z, 0.0]);
+        let geometry = Geometry {
+            mean: splats.means()[i],
+            opacity_logit: splats.opacity_logits()[i],
+            rotation: splats.rotations()[i],
+            log_scale: splats.log_scales()[i],
+            smoothing: 0.0,
+        };
+        out.extend(geometry.to_row());
     }
     out
 }
@@ -147,6 +146,17 @@ pub(crate) enum Purpose {
     Train,
 }
 
+/// Inputs of [`SplatLists`], and what the lists are for.
+pub(crate) struct ListInputs<'a> {
+    pub(crate) purpose: Purpose,
+    pub(crate) splats: &'a SplatBuffers,
+    pub(crate) image: ImageCapacity,
+    /// The view's uniform.
+    pub(crate) view: &'a Buffer,
+    /// Depth of the mesh layers, and their number, if there are meshes that splats are ordered against by thresholds.
+    pub(crate) layer_depth: Option<(&'a Buffer, u32)>,
+}
+
 /// Capacity for a list that was too short for `needed` entries: half as many again, within what the adapter binds and
 /// 32 bits count.
 pub(crate) fn longer_list(gpu: &Gpu, needed: usize) -> usize {
@@ -159,17 +169,12 @@ pub(crate) fn longest_list(gpu: &Gpu) -> usize {
 }
 
 impl SplatLists {
-    /// Stages for these parameters. `layer_depth` is that of the mesh stage with its number of layers, if there are
-    /// meshes that splats are ordered against by thresholds.
-    pub(crate) fn new(
-        gpu: &Gpu,
-        purpose: Purpose,
-        splats: &SplatBuffers,
-        image: ImageCapacity,
-        pair_capacity: usize,
-        view: &Buffer,
-        layer_depth: Option<(&Buffer, u32)>,
-    ) -> Result<Self, GpuError> {
+    /// Stages for these inputs, with room for this many pairs.
+    ///
+    /// # Errors
+    /// If the adapter cannot hold the lists.
+    pub(crate) fn new(gpu: &Gpu, inputs: &ListInputs, pair_capacity: usize) -> Result<Self, GpuError> {
+        let &ListInputs { purpose, splats, image, view, layer_depth } = inputs;
         let n = splats.capacity;
         let (model, trains) = match purpose {
             Purpose::Render(model) => (model, false),

@@ -1,24 +1,10 @@
 //! State of splats during training, as flat arrays.
 
-use std::ops::Range;
+use glam::Vec3;
 
-use glam::{Quat, Vec3};
-
-use super::splats::{self, GEOMETRY, pack_geometry};
+pub use super::geometry::{GEOMETRY_FLOATS, Geometry};
+use super::{geometry, splats::pack_geometry};
 use crate::scene::{SceneError, Splats, sh, smoothed_parameters};
-
-/// Floats of a splat in [`SplatState::geometry`].
-pub const GEOMETRY_FLOATS: usize = GEOMETRY;
-/// Columns of the mean in a row of [`SplatState::geometry`].
-pub const MEAN: Range<usize> = 0..3;
-/// Column of the opacity logit.
-pub const OPACITY: usize = splats::OPACITY;
-/// Columns of the quaternion w, x, y, z.
-pub const ROTATION: Range<usize> = 4..8;
-/// Columns of the log-scale.
-pub const LOG_SCALE: Range<usize> = 8..11;
-/// Column of the standard deviation of the Gaussian that the splat is smoothed with; 0 for none.
-pub const SMOOTHING: usize = 11;
 
 /// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
 ///
@@ -27,8 +13,8 @@ pub const SMOOTHING: usize = 11;
 pub struct SplatState {
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u32,
-    /// `[N·12]`: mean x, y, z; opacity logit; quaternion w, x, y, z, not normalised; log-scale x, y, z; deviation
-    /// of what it is smoothed with.
+    /// Rows of [`Geometry`], `[N·12]`: mean x, y, z; opacity logit; quaternion w, x, y, z, not normalised; log-scale
+    /// x, y, z; deviation of what it is smoothed with.
     pub geometry: Vec<f32>,
     /// `[N·(d+1)²·3]`: RGB of coefficient 0, RGB of coefficient 1, …
     pub sh: Vec<f32>,
@@ -65,11 +51,11 @@ impl SplatState {
     /// # Errors
     /// If a parameter is not finite, a quaternion is zero, or the arrays do not fit together.
     pub fn to_splats(&self) -> Result<Splats, SceneError> {
-        let rows = || self.geometry.chunks_exact(GEOMETRY_FLOATS);
+        let rows = || Geometry::of_rows(&self.geometry);
         let (log_scales, opacity_logits) = rows().map(smoothed).unzip();
         Splats::new(
-            rows().map(|r| Vec3::from_slice(&r[MEAN])).collect(),
-            rows().map(|r| Quat::from_xyzw(r[5], r[6], r[7], r[4])).collect(),
+            rows().map(|g| g.mean).collect(),
+            rows().map(|g| g.rotation).collect(),
             log_scales,
             opacity_logits,
             self.sh_degree,
@@ -124,19 +110,12 @@ impl SplatState {
 /// Parameter group and splat of the first geometry float that is not finite.
 pub(crate) fn geometry_not_finite(geometry: &[f32]) -> Option<(&'static str, usize)> {
     let at = geometry.iter().position(|v| !v.is_finite())?;
-    let group = match at % GEOMETRY_FLOATS {
-        c if MEAN.contains(&c) => "means",
-        OPACITY => "opacity logits",
-        c if ROTATION.contains(&c) => "rotations",
-        SMOOTHING => "smoothing",
-        _ => "log-scales",
-    };
-    Some((group, at / GEOMETRY_FLOATS))
+    Some((geometry::group_of(at % GEOMETRY_FLOATS), at / GEOMETRY_FLOATS))
 }
 
-/// Log-scales and opacity logit of a row after smoothing.
-fn smoothed(row: &[f32]) -> (Vec3, f32) {
-    smoothed_parameters(Vec3::from_slice(&row[LOG_SCALE]), row[OPACITY], row[SMOOTHING])
+/// Log-scales and opacity logit after smoothing.
+fn smoothed(of: Geometry) -> (Vec3, f32) {
+    smoothed_parameters(of.log_scale, of.opacity_logit, of.smoothing)
 }
 
 /// Sigmoid in f32, as the GPU computes it; elsewhere that of [`crate::scene`] is used.
@@ -153,7 +132,7 @@ pub(crate) fn logit(p: f32) -> f32 {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use glam::{DMat3, DVec3};
+    use glam::{DMat3, DVec3, Quat};
 
     use super::*;
     use crate::render::reference::{self, Parameters};
@@ -164,11 +143,14 @@ pub(crate) mod tests {
     pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
         let mut s = SplatState { sh_degree, ..SplatState::default() };
         for i in 0..n {
-            let mut row = [0.0; GEOMETRY_FLOATS];
-            row[0] = i as f32;
-            row[ROTATION].copy_from_slice(&[0.8, 0.0, 0.6, 0.0]);
-            row[LOG_SCALE].fill(0.01_f32.ln());
-            s.geometry.extend(row);
+            let geometry = Geometry {
+                mean: Vec3::new(i as f32, 0.0, 0.0),
+                opacity_logit: 0.0,
+                rotation: Quat::from_xyzw(0.0, 0.6, 0.0, 0.8),
+                log_scale: Vec3::splat(0.01_f32.ln()),
+                smoothing: 0.0,
+            };
+            s.geometry.extend(geometry.to_row());
             s.sh.extend((0..s.sh_floats()).map(|k| i as f32 + k as f32 / 100.0));
         }
         s.geometry_m = (1..=s.geometry.len()).map(|k| k as f32).collect();
@@ -195,16 +177,16 @@ pub(crate) mod tests {
 
     #[test]
     fn smoothing_is_kept_in_scales_and_opacities() {
-        let mut smooth = state(1, 1);
-        smooth.geometry[LOG_SCALE].copy_from_slice(&[-4.0, -5.0, -6.0]);
-        smooth.geometry[SMOOTHING] = 0.02;
-        let splats = smooth.to_splats().unwrap();
-        // It looks as it did while training.
-        let raw = {
-            let mut raw = smooth.clone();
-            raw.geometry[SMOOTHING] = 0.0;
-            raw.to_splats().unwrap()
+        let smooth = state(1, 1);
+        let with = |opacity_logit: f32, log_scale: Vec3, smoothing: f32| {
+            let mut with = smooth.clone();
+            Geometry::edit(&mut with.geometry, 0, |g| *g = Geometry { opacity_logit, log_scale, smoothing, ..*g });
+            with.to_splats()
         };
+        let log_scale = Vec3::new(-4.0, -5.0, -6.0);
+        let splats = with(0.0, log_scale, 0.02).unwrap();
+        // It looks as it did while training.
+        let raw = with(0.0, log_scale, 0.0).unwrap();
         let k = Intrinsics { width: 32, height: 24, fx: 300.0, fy: 300.0, cx: 16.0, cy: 12.0 };
         let camera = Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 2.0)).unwrap();
         let scene = |splats| HybridScene { splats, meshes: vec![], composition: Composition::default() };
@@ -221,20 +203,13 @@ pub(crate) mod tests {
             assert!((variance(now) / (variance(before) + 0.02 * 0.02) - 1.0).abs() < 1e-5);
         }
         let integral = |scales: Vec3, opacity: f32| f64::from(opacity) * f64::from(scales.element_sum()).exp();
-        let (after, before) = (
-            integral(splats.log_scales()[0], sigmoid(splats.opacity_logits()[0])),
-            integral(Vec3::new(-4.0, -5.0, -6.0), sigmoid(smooth.geometry[OPACITY])),
-        );
+        let (after, before) =
+            (integral(splats.log_scales()[0], sigmoid(splats.opacity_logits()[0])), integral(log_scale, sigmoid(0.0)));
         assert!((after / before - 1.0).abs() < 1e-4, "{after:e} {before:e}");
-        smooth.geometry[LOG_SCALE].fill(-200.0);
-        assert!(smooth.to_splats().is_ok(), "nothing is left of it, and that is a number");
-        smooth.geometry[LOG_SCALE].fill(0.0);
-        smooth.geometry[OPACITY] = 60.0;
-        smooth.geometry[SMOOTHING] = 1e-9;
-        assert!((smooth.to_splats().unwrap().opacity_logits()[0] - 60.0).abs() < 1e-3, "smoothed by next to nothing");
-        smooth.geometry[SMOOTHING] = 0.02;
-        smooth.geometry[OPACITY] = f32::NAN;
-        assert!(smooth.to_splats().is_err(), "smoothing hides nothing");
+        assert!(with(0.0, Vec3::splat(-200.0), 0.02).is_ok(), "nothing is left of it, and that is a number");
+        let opaque = with(60.0, Vec3::ZERO, 1e-9).unwrap().opacity_logits()[0];
+        assert!((opaque - 60.0).abs() < 1e-3, "smoothed by next to nothing");
+        assert!(with(f32::NAN, Vec3::ZERO, 0.02).is_err(), "smoothing hides nothing");
     }
 
     #[test]
@@ -246,8 +221,14 @@ pub(crate) mod tests {
             change(&mut s);
             s.first_non_finite()
         };
-        assert_eq!(broken(|s| s.geometry[GEOMETRY_FLOATS + OPACITY] = f32::NAN), Some(("opacity logits", 1)));
-        assert_eq!(broken(|s| s.geometry[2 * GEOMETRY_FLOATS + 6] = f32::INFINITY), Some(("rotations", 2)));
+        assert_eq!(
+            broken(|s| Geometry::edit(&mut s.geometry, 1, |g| g.opacity_logit = f32::NAN)),
+            Some(("opacity logits", 1))
+        );
+        assert_eq!(
+            broken(|s| Geometry::edit(&mut s.geometry, 2, |g| g.rotation.y = f32::INFINITY)),
+            Some(("rotations", 2))
+        );
         assert_eq!(broken(|s| s.sh[30] = f32::NAN), Some(("SH coefficients", 2)));
         assert_eq!(broken(|s| s.sh_v[0] = f32::NAN), Some(("second moments", 0)));
     }

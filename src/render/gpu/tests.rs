@@ -57,7 +57,7 @@ fn special_frame(
     }
     let terms = sh::coefficients(scene.splats.sh_degree());
     loop {
-        let (mut view, _) = pipeline.prepare(gpu, camera).unwrap();
+        let mut view = pipeline.prepare(gpu, camera).unwrap();
         view.sh_degree = view.sh_degree.min(active);
         if let (Some((c, slopes)), Some(b)) = (cotangent, &backward) {
             let slope = |pixel| slopes.map_or(0.0, |slopes| slopes[pixel]);
@@ -606,7 +606,7 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
         let (scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
         let (cotangent, n) = (random_cotangent(&camera, 3), scene.splats.len());
         let frame = |(pipeline, backward): &mut (Pipeline, Backward), only: Option<usize>| -> Vec<f32> {
-            let (view, _) = pipeline.prepare(&gpu, &camera).unwrap();
+            let view = pipeline.prepare(&gpu, &camera).unwrap();
             let kept = |(p, g): (usize, &[f64; 3])| {
                 let g = if only.is_none_or(|only| only == p) { *g } else { [0.0; 3] };
                 [g[0] as f32, g[1] as f32, g[2] as f32, 0.0]
@@ -720,7 +720,7 @@ fn vertex_gradients_equal_the_reference() {
             let state = VertexState::new(&scene.meshes, 1.0);
             let mesh = pipeline.front.mesh.as_mut().unwrap();
             mesh.free_vertices(&gpu, &scene.meshes, &pipeline.front.view, &backward.status, &state).unwrap();
-            let (view, _) = pipeline.prepare(&gpu, &camera).unwrap();
+            let view = pipeline.prepare(&gpu, &camera).unwrap();
             let words: Vec<f32> =
                 cotangent.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
             gpu.write(&backward.image_gradient, 0, &words);

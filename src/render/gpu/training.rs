@@ -1,12 +1,13 @@
 //! A scene on the GPU during training: parameters, gradients, Adam, and one step of it.
 
 use super::{
-    adam::{AdamStep, SplatAdam, SplatFloats},
+    adam::{AdamBuffers, AdamStep, SplatAdam, SplatFloats},
     backward::Backward,
     device::{Buffer, Frame, Gpu, GpuError, Timer},
     exposure::{ExposureState, ExposureStep, Exposures},
     front::Front,
-    loss::{Loss, LossValues, TruthAlpha},
+    geometry::GEOMETRY_FLOATS,
+    loss::{Loss, LossBuffers, LossValues, TruthAlpha},
     memory::with_headroom,
     mesh::MeshStage,
     photographs::UploadedPhotographs,
@@ -15,7 +16,7 @@ use super::{
     pose::{PoseState, PoseStep, Poses},
     rows::{RowGather, Rows, Source},
     smoothing::Smoothing,
-    splats::{GEOMETRY, SplatBuffers, longest_list},
+    splats::{SplatBuffers, longest_list},
     state::SplatState,
     status::{ListCheck, Status, status_buffer},
     texels::TexelStep,
@@ -28,7 +29,7 @@ use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 impl SplatState {
     /// [`Training::rearrange`] on the host.
     pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source]) -> Self {
-        let of_geometry = |before: &[f32]| Source::gather(sources, before, GEOMETRY, Rows::GeometryMoments);
+        let of_geometry = |before: &[f32]| Source::gather(sources, before, GEOMETRY_FLOATS, Rows::GeometryMoments);
         let of_sh = |before: &[f32], what| Source::gather(sources, before, self.sh_floats(), what);
         Self {
             sh_degree: self.sh_degree,
@@ -116,6 +117,8 @@ pub(crate) struct Training<'g> {
     exposures: Option<Exposures>,
     poses: Option<Poses>,
     timer: Option<Timer>,
+    /// [`Front::generation`] that everything here is bound to.
+    bound_to: u64,
 }
 
 impl<'g> Training<'g> {
@@ -158,6 +161,7 @@ impl<'g> Training<'g> {
         let (smoothing, exposures, poses, timer) = (None, None, None, None);
         Ok(Self {
             gpu,
+            bound_to: pipeline.front.generation(),
             pipeline,
             backward,
             photographs,
@@ -406,12 +410,10 @@ impl<'g> Training<'g> {
         Ok(self.look()?.status.skipped)
     }
 
-    /// As [`Pipeline::prepare`], rebinding everything to the pipeline's present buffers.
+    /// As [`Pipeline::prepare`], binding everything to the pipeline's present buffers.
     fn prepare(&mut self, camera: &Camera) -> Result<View, GpuError> {
-        let (view, renewed) = self.pipeline.prepare(self.gpu, camera)?;
-        if renewed {
-            self.rebind()?;
-        }
+        let view = self.pipeline.prepare(self.gpu, camera)?;
+        self.refresh()?;
         Ok(view)
     }
 
@@ -419,22 +421,20 @@ impl<'g> Training<'g> {
     fn grow_after_frame(&mut self) -> Result<bool, GpuError> {
         let needed = self.pipeline.front.needed_lengths(self.gpu)?;
         let longer = self.pipeline.front.longer_lists(self.gpu, needed);
-        self.lengthen_lists(longer)
+        self.lengthen_lists(longer)?;
+        Ok(longer != [0; 2])
     }
 
     /// Enlarges the lists to at least the given `Front::list_lengths`. The old ones are freed first, so that both need
-    /// not fit; their content is lost. True if any was replaced.
-    pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<bool, GpuError> {
+    /// not fit; their content is lost.
+    pub(crate) fn lengthen_lists(&mut self, lengths: [usize; 2]) -> Result<(), GpuError> {
         if lengths[0] > self.list_lengths()[0] {
             self.pipeline.empty_lists(self.gpu)?;
-            self.rebind()?;
+            self.refresh()?;
             self.gpu.wait()?;
         }
-        let grew = self.pipeline.lengthen_lists(self.gpu, lengths)?;
-        if grew {
-            self.rebind()?;
-        }
-        Ok(grew)
+        self.pipeline.lengthen_lists(self.gpu, lengths)?;
+        self.refresh()
     }
 
     /// Reads parameters and moments of all splats. Waits.
@@ -445,10 +445,10 @@ impl<'g> Training<'g> {
         let read = |buffer: &Buffer, width: usize| self.gpu.read::<f32>(buffer, n * width);
         Ok(SplatState {
             sh_degree: p.splats.sh_degree,
-            geometry: read(&p.splats.geometry, GEOMETRY)?,
+            geometry: read(&p.splats.geometry, GEOMETRY_FLOATS)?,
             sh: read(&p.splats.sh, terms)?,
-            geometry_m: read(gm, GEOMETRY)?,
-            geometry_v: read(gv, GEOMETRY)?,
+            geometry_m: read(gm, GEOMETRY_FLOATS)?,
+            geometry_v: read(gv, GEOMETRY_FLOATS)?,
             sh_m: read(sm, terms)?,
             sh_v: read(sv, terms)?,
         })
@@ -456,7 +456,7 @@ impl<'g> Training<'g> {
 
     /// Reads the geometry of all splats, `[N·12]`. Waits.
     pub(crate) fn read_geometry(&self) -> Result<Vec<f32>, GpuError> {
-        self.gpu.read(&self.pipeline.front.splats.geometry, self.pipeline.front.n_splats * GEOMETRY)
+        self.gpu.read(&self.pipeline.front.splats.geometry, self.pipeline.front.n_splats * GEOMETRY_FLOATS)
     }
 
     /// Replaces the geometry of all splats; each takes everything else from its source. Statistics are zeroed. Waits
@@ -466,7 +466,7 @@ impl<'g> Training<'g> {
     /// If the adapter has no memory left.
     pub(crate) fn rearrange(&mut self, geometry: &[f32], sources: &[Source]) -> Result<(), GpuError> {
         let n = sources.len();
-        assert_eq!(geometry.len(), n * GEOMETRY, "one source per splat");
+        assert_eq!(geometry.len(), n * GEOMETRY_FLOATS, "one source per splat");
         debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.front.n_splats), "sources are splats");
         if n > self.pipeline.front.splats.capacity {
             self.enlarge(n)?;
@@ -499,7 +499,7 @@ impl<'g> Training<'g> {
         self.pipeline.front.n_splats = 0;
         let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?, 0)?;
         let moments = self.replace_moments(new_moments(gpu, &self.pipeline.front.splats)?);
-        self.rebind()?;
+        self.refresh()?;
         let larger = SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?;
         let larger_moments = new_moments(gpu, &larger)?;
         let parameters = [(&splats.geometry, &larger.geometry), (&splats.sh, &larger.sh)];
@@ -512,7 +512,7 @@ impl<'g> Training<'g> {
         gpu.wait()?;
         self.pipeline.replace_splats(gpu, larger, pairs)?;
         self.replace_moments(larger_moments);
-        self.rebind()?;
+        self.refresh()?;
         self.pipeline.front.n_splats = n_splats;
         Ok(())
     }
@@ -534,7 +534,7 @@ impl<'g> Training<'g> {
             for (capacity, pairs) in [(0, 0), (with_headroom(self.gpu, n, sh_degree), pairs)] {
                 let splats = SplatBuffers::new(self.gpu, capacity, sh_degree)?;
                 self.pipeline.replace_splats(self.gpu, splats, pairs)?;
-                self.rebind()?;
+                self.refresh()?;
                 self.gpu.wait()?;
             }
         }
@@ -582,8 +582,13 @@ impl<'g> Training<'g> {
         self.timer.as_ref().map_or(Ok(vec![]), |t| t.seconds(self.gpu))
     }
 
-    /// Rebinds all users of the pipeline's buffers to their replacements; moments of another capacity start at zero.
-    fn rebind(&mut self) -> Result<(), GpuError> {
+    /// Binds all users of the pipeline's buffers to the present ones, if any was replaced, so that those of before are
+    /// freed; moments of another capacity start at zero.
+    fn refresh(&mut self) -> Result<(), GpuError> {
+        let generation = self.pipeline.front.generation();
+        if self.bound_to == generation {
+            return Ok(());
+        }
         self.backward.renew(self.gpu, &self.pipeline)?;
         self.list_check = new_list_check(self.gpu, &self.pipeline, &self.backward.status);
         if let Some(poses) = &mut self.poses {
@@ -593,6 +598,7 @@ impl<'g> Training<'g> {
             self.replace_moments(new_moments(self.gpu, &self.pipeline.front.splats)?);
         }
         self.adam = new_adam(self.gpu, &self.pipeline, &self.backward, &self.moments)?;
+        self.bound_to = generation;
         Ok(())
     }
 
@@ -619,8 +625,14 @@ fn new_loss(
     ssim_weight: f32,
     exposures: Option<&Buffer>,
 ) -> Result<Loss, GpuError> {
-    let (image, gradient) = (&pipeline.blend.image, &backward.image_gradient);
-    Loss::new(gpu, sizes, image, truth, gradient, &pipeline.front.view, ssim_weight, exposures)
+    let buffers = LossBuffers {
+        view: &pipeline.front.view,
+        image: &pipeline.blend.image,
+        truth,
+        gradient: &backward.image_gradient,
+        exposures,
+    };
+    Loss::new(gpu, sizes, ssim_weight, &buffers)
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck {
@@ -636,8 +648,8 @@ fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck 
 fn new_moments(gpu: &Gpu, splats: &SplatBuffers) -> Result<[Buffer; 4], GpuError> {
     let (n, terms) = (splats.capacity, sh_floats(splats));
     Ok([
-        gpu.storage("geometry moment 1", n * GEOMETRY)?,
-        gpu.storage("geometry moment 2", n * GEOMETRY)?,
+        gpu.storage("geometry moment 1", n * GEOMETRY_FLOATS)?,
+        gpu.storage("geometry moment 2", n * GEOMETRY_FLOATS)?,
         gpu.storage("SH moment 1", n * terms)?,
         gpu.storage("SH moment 2", n * terms)?,
     ])
@@ -645,14 +657,13 @@ fn new_moments(gpu: &Gpu, splats: &SplatBuffers) -> Result<[Buffer; 4], GpuError
 
 fn new_adam(gpu: &Gpu, pipeline: &Pipeline, backward: &Backward, moments: &[Buffer; 4]) -> Result<SplatAdam, GpuError> {
     let [geometry_m, geometry_v, sh_m, sh_v] = moments;
-    SplatAdam::new(
-        gpu,
-        sh_floats(&pipeline.front.splats),
-        SplatFloats { geometry: &pipeline.front.splats.geometry, sh: &pipeline.front.splats.sh },
-        SplatFloats { geometry: &backward.splats.geometry, sh: &backward.splats.sh },
-        SplatFloats { geometry: geometry_m, sh: sh_m },
-        SplatFloats { geometry: geometry_v, sh: sh_v },
-        &pipeline.front.lists.visible,
-        &backward.status,
-    )
+    let splats = &pipeline.front.splats;
+    let buffers = AdamBuffers {
+        parameters: SplatFloats { geometry: &splats.geometry, sh: &splats.sh },
+        gradient: SplatFloats { geometry: &backward.splats.geometry, sh: &backward.splats.sh },
+        moments: [SplatFloats { geometry: geometry_m, sh: sh_m }, SplatFloats { geometry: geometry_v, sh: sh_v }],
+        visible: &pipeline.front.lists.visible,
+        status: &backward.status,
+    };
+    SplatAdam::new(gpu, sh_floats(splats), &buffers)
 }

@@ -6,11 +6,11 @@ use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
     exposure::{ExposureState, ExposureStep},
+    geometry::{GEOMETRY_FLOATS, OPACITY},
     loss::TruthAlpha,
     pose::{PoseState, PoseStep},
     rows::Source,
-    splats::GEOMETRY,
-    state::{OPACITY, SplatState, logit, sigmoid},
+    state::{SplatState, logit, sigmoid},
     texels::TexelStep,
     training::{Show, Step, Training},
     vertices::{VertexState, VertexStep},
@@ -139,7 +139,7 @@ fn a_step_learns_of_nearness_as_its_weight_says() {
         };
         let parameters = Parameters::of(&scene);
         let expected = reference::backward_parameters(&scene, &camera, &parameters, &nothing, Some(&slopes)).0;
-        let rows = found.chunks_exact(GEOMETRY);
+        let rows = found.chunks_exact(GEOMETRY_FLOATS);
         let errors = rows.enumerate().flat_map(|(i, row)| {
             let expected = [
                 &expected.means[i].to_array()[..],
@@ -289,6 +289,25 @@ fn longer_lists_leave_pictures_alone() {
     training.lengthen_lists(lengths.map(|n| 4 * n)).unwrap();
     assert!(training.pipeline.front.list_lengths()[0] > lengths[0]);
     assert_eq!((training.loss().unwrap(), image(&training)), (loss, seen));
+}
+
+/// Whoever replaced buffers: the next step binds the present ones by itself.
+#[test]
+fn a_step_is_of_the_present_lists() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = testing::smooth_scene(1, 2, OrderMode::Stable);
+    let [expected, found] = [false, true].map(|replaces| {
+        let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+        training.refine_poses(&PoseState::new(1)).unwrap();
+        if replaces {
+            let longer = training.list_lengths().map(|n| 2 * n);
+            training.pipeline.front.lengthen_lists(&gpu, longer).unwrap();
+        }
+        step(&mut training, &camera);
+        assert_eq!(training.status().unwrap().skipped, 0);
+        learnt(&training, &scene.meshes)
+    });
+    assert!(found == expected && found.0.geometry_m.iter().any(|m| *m != 0.0));
 }
 
 /// First moments of all that is learnt: a tenth of the gradients of a first step.
@@ -445,7 +464,7 @@ fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
     let mut all = made().read_splats().unwrap();
     let behind = (camera.center() - 10.0 * camera.rotation().row(2)).as_vec3();
     for i in [2, 5] {
-        behind.write_to_slice(&mut all.geometry[GEOMETRY * i..][..3]);
+        behind.write_to_slice(&mut all.geometry[GEOMETRY_FLOATS * i..][..3]);
     }
     for moments in [&mut all.geometry_m, &mut all.geometry_v, &mut all.sh_m, &mut all.sh_v] {
         moments.iter_mut().enumerate().for_each(|(i, m)| *m = 1e-3 * (1 + i) as f32);
@@ -453,7 +472,7 @@ fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
     // One of those behind twice, once without moments; the others are not where they were.
     let mut sources: Vec<Source> = (0..60).rev().chain([2]).map(Source::new).collect();
     sources[60] = sources[60].without_moments();
-    let rows = |i: usize| all.geometry[GEOMETRY * i..][..GEOMETRY].to_vec();
+    let rows = |i: usize| all.geometry[GEOMETRY_FLOATS * i..][..GEOMETRY_FLOATS].to_vec();
     let geometry: Vec<f32> = sources.iter().flat_map(|s| rows(s.splat())).collect();
     let [expected, found] = [false, true].map(|on_gpu| {
         let mut training = made();
@@ -467,7 +486,7 @@ fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
         assert_eq!(training.status().unwrap().skipped, 0);
         learnt(&training, &scene.meshes)
     });
-    let unseen = [54, 57, 60].map(|i| GEOMETRY * i..GEOMETRY * (i + 1));
+    let unseen = [54, 57, 60].map(|i| GEOMETRY_FLOATS * i..GEOMETRY_FLOATS * (i + 1));
     // Parameters and both moments, of geometry and SH in turn.
     for (i, (found, expected)) in found.0.arrays().into_iter().zip(expected.0.arrays()).enumerate() {
         let is_geometry = [0, 2, 3].contains(&i);
@@ -564,7 +583,7 @@ fn splats_that_a_step_leaves_out_are_neither_seen_nor_moved() {
     let (expected, others) = stepped(&fewer, Dropout::default());
     let difference = found.as_flattened().iter().zip(expected.as_flattened()).map(|(a, b)| f64::from((a - b).abs()));
     assert!(testing::largest(difference) < 1e-5);
-    let row = |state: &SplatState, i: usize| state.geometry_m[i * GEOMETRY..][..GEOMETRY].to_vec();
+    let row = |state: &SplatState, i: usize| state.geometry_m[i * GEOMETRY_FLOATS..][..GEOMETRY_FLOATS].to_vec();
     for i in (0..n).filter(|i| !stays(i)) {
         assert!(row(&moved, i).iter().all(|m| *m == 0.0), "splat {i} was left out");
     }

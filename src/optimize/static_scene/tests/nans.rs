@@ -1,7 +1,10 @@
 //! What is not finite is found and named, wherever it is.
 
 use super::*;
-use crate::optimize::{density::mcmc::EpochWeight, resume::Saved};
+use crate::optimize::{
+    density::mcmc::EpochWeight,
+    resume::{HostState, Saved},
+};
 
 #[test]
 fn a_nan_is_found_and_named() {
@@ -77,7 +80,9 @@ fn no_checkpoint_holds_an_exposure_that_is_no_number() {
         let plan = run.plan(Phase::Joint, 0, true);
         let saved = |training: &Training| {
             let (found, past) = (run.found.clone(), run.log.past.clone());
-            Saved::capture(training, scene, (Phase::Joint, 1), found, None, &EpochWeight::default(), past).map(drop)
+            let epoch = &EpochWeight::default();
+            let host = HostState { reached: (Phase::Joint, 1), found, poses: None, epoch, past };
+            Saved::capture(training, scene, host).map(drop)
         };
         run.step(training, &plan, 0).unwrap();
         saved(training).unwrap();

@@ -220,7 +220,7 @@ fn adam_has_the_gradients_of_the_reference() {
         let front = &mut pipeline.front;
         let mesh = front.mesh.as_mut().unwrap();
         mesh.free_vertices(&gpu, &scene.meshes, &front.view, &backward.status, &state).unwrap();
-        let (view, _) = pipeline.prepare(&gpu, &camera).unwrap();
+        let view = pipeline.prepare(&gpu, &camera).unwrap();
         let words: Vec<f32> = cotangent.rgb.iter().flat_map(|g| [g[0], g[1], g[2], 0.0].map(|v| v as f32)).collect();
         gpu.write(&backward.image_gradient, 0, &words);
         let mut frame = Frame::new(&gpu);
