@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, anyhow, bail};
 use centaur::capture::LoadOptions;
 use centaur::format::{
-    CameraFile, DEFAULT_FPS, FormatError, MAX_FRAMES, ReadOptions, Sampling, Summary, WRITABLE_CAMERAS, gltf,
+    CameraFile, DEFAULT_FPS, Format, FormatError, MAX_FRAMES, ReadOptions, Sampling, Summary, WRITABLE_CAMERAS,
     has_extension, inspect, read_file, write_cameras, write_cameras_with_scene,
 };
 use centaur::path::{self, Around, PathError, Shot, Spline};
@@ -205,10 +205,19 @@ pub(super) fn run(args: &Args) -> Result<()> {
 }
 
 impl FileArgs {
+    fn is_gltf(&self) -> bool {
+        Format::of_path(&self.output).is_some_and(Format::is_gltf)
+    }
+
+    /// Whether the output is of a format of scenes, which say when a path begins.
+    fn holds_times(&self) -> bool {
+        Format::of_path(&self.output).is_some_and(Format::holds_paths)
+    }
+
     /// Refuses, before anything is read, what could not be written at the end.
     fn check(&self) -> Result<()> {
         usage::demand(
-            !self.with_scene || gltf::is_named(&self.output),
+            !self.with_scene || self.is_gltf(),
             format!("{}: --with-scene: expected a name that ends in .glb or .gltf", self.output.display()),
         )?;
         if is_folder(&self.output) {
@@ -218,7 +227,7 @@ impl FileArgs {
         }
         if !self.with_scene {
             let spared = output::spare(&self.output, [self.source.as_path()]);
-            if gltf::is_named(&self.output) {
+            if self.is_gltf() {
                 let advice = "with --with-scene it is written again with the path in it";
                 spared.map_err(|error| anyhow!("{error}; {advice}"))?;
             } else {
@@ -251,9 +260,9 @@ impl FileArgs {
 
     /// Rejects writing cameras alone over a scene: a path might get the name of a scene that took hours to train.
     fn spare_scene(&self) -> Result<()> {
-        let can_be_one = gltf::is_named(&self.output) || has_extension(&self.output, &["usda"]);
         // Unreadable files are no scenes.
-        let there = Some(&self.output).filter(|file| can_be_one && file.is_file()).and_then(|file| inspect(file).ok());
+        let there =
+            Some(&self.output).filter(|file| self.holds_times() && file.is_file()).and_then(|file| inspect(file).ok());
         // Meshes of the document count even if they cannot be read as a scene.
         let has_meshes = |there: &Summary| {
             let counted = there.document.as_ref().and_then(|document| document.counts.get("meshes"));
@@ -294,8 +303,7 @@ impl FileArgs {
             write_cameras(&self.output, &file)?
         };
         let CameraFile { cameras, fps, times, mut notes, y_up } = file;
-        let is_gltf = gltf::is_named(&self.output);
-        if is_gltf && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
+        if self.is_gltf() && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
         }
         if y_up && is_folder(&self.output) {
@@ -311,8 +319,7 @@ impl FileArgs {
             );
         }
         let begins = times.first().copied().unwrap_or_default();
-        let has_times = is_gltf || has_extension(&self.output, &["usda"]);
-        if begins != 0.0 && !(has_times && begins > 0.0) {
+        if begins != 0.0 && !(self.holds_times() && begins > 0.0) {
             // Blender's first frame is at a twenty-fourth of a second: rounded, because 17 digits are useless.
             let begins = (1e3 * begins).round() / 1e3;
             notes.push(format!(

@@ -7,7 +7,7 @@ use centaur::atomic::{self, Staging, folder_of};
 use centaur::edit;
 use centaur::format::ply::Attribute;
 use centaur::format::{
-    self, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, gltf, one_line, spz,
+    self, Format, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, one_line, spz,
 };
 use centaur::scene::Composition;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -126,40 +126,44 @@ struct Outcome<'a> {
 struct Files<'a> {
     inputs: &'a [PathBuf],
     output: &'a Path,
+    /// Format of the output.
+    format: Format,
 }
 
 impl Args {
     /// Input and output files; if no option names the output, it is the last file.
     fn files(&self) -> Result<Files<'_>> {
-        if let Some(output) = &self.output {
-            return Ok(Files { inputs: &self.files, output });
-        }
-        match self.files.split_last() {
-            Some((output, inputs)) if !inputs.is_empty() => {
-                writable(output.clone()).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
-                // Shells may expand `*.ply` so that the last file is an input, which would be overwritten.
-                let is_new = inputs.len() == 1 || !output.is_file();
-                ensure!(is_new, "{}: is there already: -o {} replaces it", output.display(), output.display());
-                Ok(Files { inputs, output })
-            }
-            _ => Err(usage::wrong("expected files to read and one to write, found one; --help says more")),
-        }
+        let (inputs, output) = match (&self.output, self.files.split_last()) {
+            (Some(output), _) => (&self.files[..], output),
+            (None, Some((output, inputs))) if !inputs.is_empty() => (inputs, output),
+            _ => return Err(usage::wrong("expected files to read and one to write, found one; --help says more")),
+        };
+        let format = format_of(output).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
+        // Shells may expand `*.ply` so that the last file is an input, which would be overwritten.
+        let is_new = self.output.is_some() || inputs.len() == 1 || !output.is_file();
+        ensure!(is_new, "{}: is there already: -o {} replaces it", output.display(), output.display());
+        Ok(Files { inputs, output, format })
     }
 }
 
+/// Format in which a file of this name is written.
+fn format_of(path: &Path) -> Result<Format, String> {
+    let format = Format::of_path(path).filter(|format| format.is_writable());
+    format.ok_or_else(|| output::expected_name(&Format::WRITABLE.map(Format::extension)))
+}
+
 fn writable(path: PathBuf) -> Result<PathBuf, String> {
-    output::with_extension(path, &[format::WRITABLE, format::EXPORTABLE].concat())
+    format_of(&path).map(|_| path)
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let files = args.files()?;
     usage::demand(
-        args.played.animations.is_empty() || args.time.is_some() || format::has_extension(files.output, &["py"]),
+        args.played.animations.is_empty() || args.time.is_some() || files.format == Format::BlendScript,
         "--animation: only a .blend.py plays it, a glTF takes all over, others are at rest: say --time",
     )?;
-    let is_spz = format::has_extension(files.output, &["spz"]);
     usage::demand(
-        is_spz || args.spz_version.is_none(),
+        files.format == Format::Spz || args.spz_version.is_none(),
         format!("{}: --spz-version: expected a name that ends in .spz", files.output.display()),
     )?;
     output::check_file(files.output)?;
@@ -172,7 +176,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let usual_near = Composition::default().near;
     let has_own_near = scene.scene.composition.near != usual_near;
     let mut edited = args.edits.apply(scene)?;
-    if !has_own_near && format::has_extension(files.output, format::SPLATS_ALONE) {
+    if !has_own_near && !files.format.holds_meshes() {
         // Readers of these formats take the default near plane, in whatever unit: scaling loses no near plane of the
         // scene's own.
         edited.scene.composition.near = usual_near;
@@ -186,8 +190,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         };
         bail!("{}: expected something to write, found no splats and no meshes{why}", files.output.display());
     }
-    if edited.source.as_ref().is_some_and(|s| gltf::is_named(files.output) && s.stands(&edited.scene, &edited.cameras))
-    {
+    if edited.source.as_ref().is_some_and(|s| files.format.is_gltf() && s.stands(&edited.scene, &edited.cameras)) {
         // A document that is written again is preserved exactly, regardless of what a scene can hold.
         inputs.iter_mut().for_each(|input| input.notes.clear());
     }
@@ -230,11 +233,15 @@ pub(super) fn run(args: &Args) -> Result<()> {
 }
 
 /// Reads all inputs as one scene in the capture's frame, with notes.
-fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressBar) -> Result<(Edited, Vec<Input>)> {
+fn read(
+    args: &Args,
+    Files { inputs: files, format, .. }: Files<'_>,
+    bar: &ProgressBar,
+) -> Result<(Edited, Vec<Input>)> {
     let one = files.len() == 1;
     let options = ReadOptions {
         drop_invalid: args.drop_invalid,
-        keep_document: one && gltf::is_named(output),
+        keep_document: one && format.is_gltf(),
         time: args.time,
         animations: &args.played.animations,
     };
@@ -292,7 +299,7 @@ fn read(args: &Args, Files { inputs: files, output }: Files<'_>, bar: &ProgressB
 }
 
 /// Says so where the second of two names, as shells make them of `*.ply`, is that of a scene of the same kind, which is gone.
-fn replaced(args: &Args, Files { inputs, output }: Files<'_>) -> Option<String> {
+fn replaced(args: &Args, Files { inputs, output, .. }: Files<'_>) -> Option<String> {
     let [input] = inputs else { return None };
     let is_alike = input.extension().is_some() && input.extension() == output.extension();
     let is_lost = args.output.is_none() && is_alike && output.is_file() && !output::is_same(input, output);
@@ -303,8 +310,8 @@ fn replaced(args: &Args, Files { inputs, output }: Files<'_>) -> Option<String> 
 const LARGER: u64 = 10;
 
 /// Says why a glTF that is written anew is so much larger than it was.
-fn larger(Files { inputs, output }: Files<'_>, edited: &Edited, bytes: u64) -> Option<String> {
-    if edited.scene.meshes.is_empty() || !gltf::is_named(output) || bytes < 1 << 18 {
+fn larger(Files { inputs, format, .. }: Files<'_>, edited: &Edited, bytes: u64) -> Option<String> {
+    if edited.scene.meshes.is_empty() || !format.is_gltf() || bytes < 1 << 18 {
         return None;
     }
     // An output may have taken the place of an input, and is as large as itself.
@@ -369,7 +376,7 @@ fn joined(of_inputs: &[Vec<Attribute>], inputs: &mut [Input]) -> Vec<Attribute> 
 }
 
 /// Writes to a staging folder first: only then is the loss known, and may be rejected.
-fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> Result<WriteReport> {
+fn write(args: &Args, Files { inputs, output, format }: Files<'_>, edited: &Edited) -> Result<WriteReport> {
     let named = || format!("{}: cannot write", output.display());
     let place = atomic::place_of(output).with_context(named)?;
     let folder = folder_of(&place);
@@ -394,9 +401,7 @@ fn write(args: &Args, Files { inputs, output }: Files<'_>, edited: &Edited) -> R
         }
         other => other,
     })?;
-    let name = output.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let is_of = |extension: &&&str| name.ends_with(&format!(".{extension}"));
-    let extension = [format::EXPORTABLE, format::WRITABLE].concat().iter().find(is_of).map_or("file", |e| *e);
+    let extension = format.extension();
     if edited.scene.splats.is_empty() && report.loss.meshes > 0 {
         bail!("{}: expected splats for a .{extension}, found meshes alone", output.display());
     }

@@ -169,8 +169,13 @@ pub(super) fn with_extension(path: PathBuf, extensions: &[&str]) -> Result<PathB
     if extensions.iter().any(ends) {
         return Ok(path);
     }
+    Err(expected_name(extensions))
+}
+
+/// What is expected of a path whose name has to end in one of `extensions` (without dot).
+pub(super) fn expected_name(extensions: &[&str]) -> String {
     let wanted: Vec<String> = extensions.iter().map(|e| format!(".{e}")).collect();
-    Err(format!("expected a name that ends in {}", wanted.join(" or ")))
+    format!("expected a name that ends in {}", wanted.join(" or "))
 }
 
 #[cfg(test)]

@@ -7,7 +7,6 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::cameras::NO_CAMERAS;
 use super::has_extension;
 use crate::scene::SceneError;
 
@@ -44,6 +43,10 @@ pub enum FormatError {
         found: String,
     },
 }
+
+/// What is expected of a file, and what of what it holds, where it is a scene without cameras. See [`FormatError::is_lack_of_cameras`].
+pub(super) const NO_CAMERAS: [&str; 3] =
+    ["a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json", "cameras", "a camera"];
 
 impl FormatError {
     /// Whether nothing else is wrong with a file whose cameras were to be read than that it holds none, or none that are pinholes.
@@ -261,6 +264,13 @@ pub fn one_line(text: &str) -> Cow<'_, str> {
     }
     let escaped = |c: char| if c.is_control() { c.escape_default().collect() } else { String::from(c) };
     text.chars().map(escaped).collect::<String>().into()
+}
+
+/// Joins the first few names for a message.
+pub fn some_of<'a>(mut names: impl Iterator<Item = &'a str>) -> String {
+    let mut some: Vec<&str> = names.by_ref().take(8).collect();
+    some.extend(names.next().map(|_| "…"));
+    some.join(", ")
 }
 
 /// Short single-line form of text from a file, for use in a message.

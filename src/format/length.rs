@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::error::file_bytes;
 use super::gltf::{self, Asset};
-use super::{FormatError, Kind, kind, sog, usd};
+use super::{Format, FormatError, detect, sog, usd};
 
 /// Total length in bytes of a scene file and of the files that belong to it: buffers and images of a glTF, maps and
 /// images of a USD layer, images of a SOG folder, and all folders of a SOG with levels of detail. Each file counts
@@ -14,11 +14,11 @@ use super::{FormatError, Kind, kind, sog, usd};
 /// If the file cannot be read, is not a scene, or does not determine its files.
 pub fn stored_bytes(path: &Path) -> Result<u64, FormatError> {
     let own = file_bytes(path)?;
-    Ok(match kind(path)? {
-        Kind::Gltf => gltf::sizes(&Asset::open(path)?, own).total,
-        Kind::Sog => own + sog::bytes_beside(path)?,
-        Kind::Usd => own + usd::bytes_beside(path)?,
-        Kind::Ksplat | Kind::Ply | Kind::Splat | Kind::Spz => own,
+    Ok(match detect(path)? {
+        Format::Glb | Format::Gltf => gltf::sizes(&Asset::open(path)?, own).total,
+        Format::Sog => own + sog::bytes_beside(path)?,
+        Format::Usda | Format::Usdc | Format::Usdz => own + usd::bytes_beside(path)?,
+        _ => own,
     })
 }
 

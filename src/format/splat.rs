@@ -20,7 +20,7 @@ use super::blocks::{in_waves, read_in_blocks};
 use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::{DROPPING, SplatRecord, color_bytes, dc_of_bytes, log_of_scale, logit_of_byte, opacity_byte};
-use super::{FormatError, activation, atomic_write_with};
+use super::{FormatError, ReadOptions, activation, atomic_write_with};
 use crate::scene::{SceneError, SplatArrays, Splats};
 
 const BYTES: usize = 32;
@@ -33,7 +33,7 @@ const ROWS: usize = 1 << 14;
 /// If the file cannot be read, its length is not a multiple of 32, or it holds negative scales or values that
 /// [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    Ok(read_with(path, false)?.0)
+    Ok(read_with(path, &ReadOptions::default())?.0)
 }
 
 /// Writes splats in their own order.
@@ -61,9 +61,9 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     Ok(WriteReport { bytes, loss, ..WriteReport::default() })
 }
 
-/// Reads splats, and counts those left out as invalid if `drop_invalid` is set.
-pub(super) fn read_with(path: &Path, drop_invalid: bool) -> Result<(Splats, usize), FormatError> {
-    parse(open_file(path)?, drop_invalid).map_err(|fault| fault.in_file(path))
+/// Same as [`read`], with the number of splats left out, see [`ReadOptions::drop_invalid`].
+pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<(Splats, usize), FormatError> {
+    parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 
 fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splats, usize), Fault> {

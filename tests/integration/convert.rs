@@ -44,6 +44,10 @@ fn write_trained(path: &Path) -> serde_json::Value {
     record
 }
 
+fn read(path: &Path) -> format::SceneFile {
+    format::read_file(path, &format::ReadOptions::default()).unwrap()
+}
+
 /// Runs `centaur convert` with `args` separated by blanks; what it prints, notes last.
 fn convert(folder: &Path, args: &str) -> String {
     let output = common::centaur(folder).arg("convert").args(args.split(' ')).output().unwrap();
@@ -144,7 +148,7 @@ fn what_is_lost_is_named_or_refused() {
     assert_eq!(outcome["lossless"].as_bool(), Some(true), "what options remove is no loss: {outcome}");
     let outcome = as_json(folder.path(), "h.glb again.glb --strict");
     assert_eq!((outcome["meshes"].as_u64(), outcome["cameras"].as_u64()), (Some(1), Some(1)));
-    let [before, after] = ["h.glb", "again.glb"].map(|name| gltf::read(&folder.path().join(name)).unwrap());
+    let [before, after] = ["h.glb", "again.glb"].map(|name| read(&folder.path().join(name)));
     assert_eq!(before.scene.meshes, after.scene.meshes);
     let (camera, same) = (before.cameras[0].1, after.cameras[0].1);
     assert!(camera.rotation().abs_diff_eq(same.rotation(), 1e-12) && camera.translation() == same.translation());
@@ -204,7 +208,7 @@ fn moving_turns_splats_meshes_and_cameras_with_their_harmonics() {
     let folder = tempfile::tempdir().unwrap();
     write_hybrid(&folder.path().join("h.glb"));
     convert(folder.path(), "h.glb moved.glb --axes y-down:unity --scale 2 --rotate 0,0,90 --translate -1,0,0.5");
-    let [before, after] = ["h.glb", "moved.glb"].map(|name| gltf::read(&folder.path().join(name)).unwrap());
+    let [before, after] = ["h.glb", "moved.glb"].map(|name| read(&folder.path().join(name)));
     // y-down to Unity mirrors y; then (x, y, z) becomes (−y, x, z).
     let orthogonal = DMat3::from_cols(DVec3::Y, DVec3::X, DVec3::Z);
     let by = Similarity::new(2.0, orthogonal, DVec3::new(-1.0, 0.0, 0.5)).unwrap();
@@ -367,20 +371,20 @@ fn gltf_of_others_stays_upright() {
     assert_eq!(kept["meshes"], 1, "{kept}");
     // Unchanged it stays theirs; joined, it is written anew, in our frame.
     convert(folder.path(), "theirs.gltf same.glb --strict");
-    let same = gltf::read(&folder.path().join("same.glb")).unwrap();
+    let same = read(&folder.path().join("same.glb"));
     assert!(same.y_up && same.scene.meshes[0].positions()[1] == Vec3::new(1.0, -1.0, -2.0));
     let said = convert(folder.path(), "theirs.gltf theirs.gltf ours.glb");
     assert!(said.contains("note: theirs.gltf: "), "a material that is reduced is worth a note: {said}");
     assert!(said.starts_with("lost: nothing but what the notes say\n"), "{said}");
     let line = failure(folder.path(), "theirs.gltf theirs.gltf strict.glb --strict");
     assert!(line.starts_with("error: theirs.gltf: --strict: "), "{line}");
-    let ours = gltf::read(&folder.path().join("ours.glb")).unwrap();
+    let ours = read(&folder.path().join("ours.glb"));
     let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
     assert_eq!(ours.scene.meshes[0].positions(), expected);
     assert!(!ours.y_up);
     // Once ours, it stays where it is.
     convert(folder.path(), "ours.glb again.glb");
-    let again = gltf::read(&folder.path().join("again.glb")).unwrap();
+    let again = read(&folder.path().join("again.glb"));
     assert_eq!(again.scene.meshes[0].positions(), expected);
 }
 
@@ -487,13 +491,13 @@ fn every_reader_feeds_every_writer() {
 fn hybrids_go_through_usd_and_back() {
     let folder = tempfile::tempdir().unwrap();
     write_hybrid(&folder.path().join("h.glb"));
-    let before = gltf::read(&folder.path().join("h.glb")).unwrap();
+    let before = read(&folder.path().join("h.glb"));
     for name in ["b.usda", "b.usdz"] {
         assert!(
             convert(folder.path(), &format!("h.glb {name} --strict")).contains("10 splats of SH degree 3, 1 mesh(es)")
         );
         convert(folder.path(), &format!("{name} back.glb --strict"));
-        let after = gltf::read(&folder.path().join("back.glb")).unwrap();
+        let after = read(&folder.path().join("back.glb"));
         assert_eq!((&after.scene.meshes, after.scene.composition), (&before.scene.meshes, before.scene.composition));
         assert_eq!(
             (after.scene.splats.means(), after.scene.splats.sh()),

@@ -1,7 +1,7 @@
 //! Readers on files that nobody of this project made. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use crate::common::data;
-use centaur::format::{gltf, inspect, mesh_import, ply, read_scene};
+use centaur::format::{inspect, mesh_import, ply, read_scene};
 use glam::Vec3;
 
 #[test]
@@ -89,7 +89,7 @@ fn khronos_samples_as_scenes() {
         for folder in ["glTF", "glTF-Binary"].map(|f| model.as_ref().unwrap().path().join(f)) {
             for file in folder.read_dir().into_iter().flatten().map(|f| f.unwrap().path()) {
                 if file.extension().is_some_and(|e| e == "gltf" || e == "glb") {
-                    let scene = gltf::read(&file).unwrap_or_else(|e| panic!("{e}")).scene;
+                    let scene = read_scene(&file).unwrap_or_else(|e| panic!("{e}"));
                     assert!(!scene.meshes.is_empty() && scene.splats.is_empty(), "{}", file.display());
                     assert!(!inspect(&file).unwrap().warnings.is_empty(), "materials are reduced, and that is said");
                     read += 1;

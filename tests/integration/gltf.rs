@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::common::{self, data};
-use centaur::format::{ReadOptions, WriteOptions, gltf, inspect, read_file, validate, write_scene};
+use centaur::format::{ReadOptions, WriteOptions, gltf, inspect, read_file, read_scene, validate, write_scene};
 use centaur::scene::{Composition, HybridScene, Splats};
 use glam::{Quat, Vec3};
 use serde_json::{Value, json};
@@ -107,8 +107,8 @@ fn khronos_samples_survive_a_round_trip() {
 #[ignore = "needs shared data"]
 fn a_figure_stands_as_its_joints_do() {
     // The bind pose of this sample is its rest pose: skinning moves nothing but what the node above would.
-    let file = gltf::read(&data("meshes_gltf_samples/RiggedFigure/glTF-Binary/RiggedFigure.glb")).unwrap();
-    let positions = file.scene.meshes[0].positions();
+    let scene = read_scene(&data("meshes_gltf_samples/RiggedFigure/glTF-Binary/RiggedFigure.glb")).unwrap();
+    let positions = scene.meshes[0].positions();
     let low = positions.iter().copied().reduce(Vec3::min).unwrap();
     let high = positions.iter().copied().reduce(Vec3::max).unwrap();
     // Its height is along y, where the stored positions have it along z: 1.5 units.
@@ -119,7 +119,8 @@ fn a_figure_stands_as_its_joints_do() {
 #[test]
 #[ignore = "needs shared data"]
 fn splats_of_cesiums_draft() {
-    let file = gltf::read(&data("oracle_cesium_gltf_splat/synthetic_5splats.gltf")).unwrap();
+    let path = data("oracle_cesium_gltf_splat/synthetic_5splats.gltf");
+    let file = read_file(&path, &ReadOptions::default()).unwrap();
     assert_eq!((file.scene.splats.len(), file.scene.splats.sh_degree()), (5, 0));
     assert!(file.notes.iter().any(|n| n.contains("of a draft of the extension")), "{:?}", file.notes);
     // Means at −2 to 2 along the diagonal, by the node's matrix; y down.

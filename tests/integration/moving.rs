@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::common::{self, stderr};
-use centaur::format::gltf;
+use centaur::format::{ReadOptions, read_file, read_scene};
 use glam::Vec3;
 use serde_json::{Value, json};
 
@@ -69,13 +69,13 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
     let folder = tempfile::tempdir().unwrap();
     write_slide(folder.path());
     assert!(run(folder.path(), "convert a.gltf posed.glb --time 0.75 --strict").starts_with("lost: nothing"));
-    let posed = gltf::read(&folder.path().join("posed.glb")).unwrap();
+    let posed = read_file(&folder.path().join("posed.glb"), &ReadOptions::default()).unwrap();
     // y down, where it was y up.
     assert_eq!(posed.scene.meshes[0].positions()[2], Vec3::new(1.5, -1.0, 4.0));
     assert!(posed.source.unwrap().clips().is_empty());
     // The document as it is has lost nothing.
     assert_eq!(as_json(folder.path(), "convert a.gltf whole.glb --strict")["lossless"], true);
-    let whole = gltf::read(&folder.path().join("whole.glb")).unwrap();
+    let whole = read_file(&folder.path().join("whole.glb"), &ReadOptions::default()).unwrap();
     assert!(whole.source.unwrap().moves());
 
     // Mitsuba holds one pose; Blender moves.
@@ -142,7 +142,7 @@ fn animations_are_chosen_by_name() {
     std::fs::write(folder.path().join("b.gltf"), document.to_string()).unwrap();
     let first = |flags: &str| {
         let said = as_json(folder.path(), &format!("convert b.gltf posed.glb --time 1 {flags}"));
-        let scene = gltf::read(&folder.path().join("posed.glb")).unwrap().scene;
+        let scene = read_scene(&folder.path().join("posed.glb")).unwrap();
         // Scenes are y-down.
         let moved = scene.meshes[0].positions()[0] - Vec3::new(-1.0, 1.0, 4.0);
         (moved, said["inputs"][0]["notes"].to_string())

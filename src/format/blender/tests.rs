@@ -3,9 +3,9 @@
 use glam::{DMat3, DVec3};
 
 use super::*;
-use crate::format::cameras::{CameraFile, write_cameras_with_scene};
+use crate::format::cameras::CameraFile;
 use crate::format::test_scenes::{camera, random_scene};
-use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
+use crate::format::{ReadOptions, WriteOptions, read_file, write_cameras_with_scene, write_scene};
 use crate::scene::Splats;
 
 fn written(scene: &HybridScene, cameras: &[(String, Camera)]) -> (String, WriteReport) {

@@ -13,7 +13,7 @@ use crate::atomic::{self, Staging};
 use crate::format::FormatError;
 use crate::scene::{Camera, Intrinsics};
 
-pub(super) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, FormatError> {
+pub(in crate::format) fn write(folder: &Path, cameras: &[(String, Camera)]) -> Result<u64, FormatError> {
     spare_in(folder)?;
     let (mut lenses, mut places): (Vec<Intrinsics>, HashMap<_, usize>) = (vec![], HashMap::new());
     let mut images = String::from("# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; world to camera\n");

@@ -16,8 +16,9 @@ mod transforms;
 use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path};
 
-use super::error::Fault;
-use super::{FormatError, Kind, gltf, kind, usd};
+pub(super) use self::colmap::write as write_model;
+pub(super) use self::transforms::write as write_transforms;
+use super::error::{Fault, some_of};
 use crate::scene::{Camera, frame};
 
 /// Cameras in display order.
@@ -46,7 +47,7 @@ pub struct Sampling<'a> {
     pub only: &'a [String],
     /// All as they are at this time, in seconds, none of them moving; `None`: frame by frame.
     pub time: Option<f64>,
-    /// Whether cameras added by [`write_cameras_with_scene`] are skipped.
+    /// Whether cameras added by [`write_cameras_with_scene`](super::write_cameras_with_scene) are skipped.
     pub without_paths: bool,
 }
 
@@ -93,15 +94,8 @@ pub(super) fn short(name: &str) -> String {
     name.chars().take(MAX_NAME).collect()
 }
 
-/// What is expected of a file, and what of what it holds, where it is a scene without cameras. See [`FormatError::is_lack_of_cameras`].
-pub(super) const NO_CAMERAS: [&str; 3] =
-    ["a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json", "cameras", "a camera"];
-
 /// How to come by cameras of a scene that has none.
-const ADVICE: &str = "`centaur cameras orbit` makes a path around any scene";
-
-/// Extensions of files that [`write_cameras`] writes; a path that has none of them is a folder for a COLMAP model.
-pub const WRITABLE_CAMERAS: &[&str] = &["json", "glb", "gltf", "usda"];
+pub(super) const ADVICE: &str = "`centaur cameras orbit` makes a path around any scene";
 
 impl CameraFile {
     /// Converts the cameras to a y-up world or to the capture's frame.
@@ -130,53 +124,6 @@ impl CameraFile {
 pub(super) fn turned(camera: &Camera) -> Camera {
     let rotation = frame::in_turned_world(camera.rotation());
     Camera::new(*camera.intrinsics(), rotation, camera.translation()).expect("a rotation, turned, is one")
-}
-
-/// Reads the cameras of a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, ignoring other content. An animated camera
-/// becomes as many cameras as the shot has frames, from the first to the last key of its animation.
-///
-/// # Errors
-/// If the file is of none of these formats, cannot be read, is malformed, has no camera, or none of the requested name.
-pub fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
-    match kind(path)? {
-        Kind::Gltf => gltf::read_cameras(path, sampling),
-        Kind::Usd => usd::read_cameras(path, sampling),
-        other => {
-            let [expected, ..] = NO_CAMERAS;
-            Err(Fault::whole(expected, format!("{}; {ADVICE}", other.name())).in_file(path))
-        }
-    }
-}
-
-/// Writes cameras in the format of the path's extension, one of [`WRITABLE_CAMERAS`], or as a COLMAP model into a
-/// folder, which is created. Returns the bytes written.
-///
-/// # Errors
-/// If a file cannot be written, or a COLMAP model or `transforms*.json` would replace or hide an existing capture.
-pub fn write_cameras(path: &Path, file: &CameraFile) -> Result<u64, FormatError> {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    match &extension[..] {
-        "json" => transforms::write(path, file),
-        "glb" | "gltf" => gltf::write_cameras(path, file),
-        "usda" => usd::write_cameras(path, &file.clone().in_frame(false)),
-        _ => colmap::write(path, &file.clone().in_frame(false).cameras),
-    }
-}
-
-/// Same as [`write_cameras`], but together with the content of the `.glb` or `.gltf` at `scene`: its document is
-/// written again unchanged, except that cameras added in this way before are replaced.
-///
-/// # Errors
-/// If the extension of `path` is neither `.glb` nor `.gltf`, `scene` cannot be read or is not glTF, or the file cannot
-/// be written.
-pub fn write_cameras_with_scene(path: &Path, scene: &Path, file: &CameraFile) -> Result<u64, FormatError> {
-    if !gltf::is_named(path) {
-        return Err(Fault::whole("a name that ends in .glb or .gltf", path.display().to_string()).in_file(path));
-    }
-    match kind(scene)? {
-        Kind::Gltf => gltf::write_with_cameras(path, scene, file),
-        other => Err(Fault::whole("a .glb or .gltf, to which cameras can be added", other.name()).in_file(scene)),
-    }
 }
 
 /// Camera found in a file, with its frames: one at rest, or those of its animation.
@@ -223,13 +170,6 @@ pub(super) fn chosen(
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
     Ok(CameraFile { cameras, fps, y_up, times, notes })
-}
-
-/// Joins the first few names for a message.
-pub fn some_of<'a>(mut names: impl Iterator<Item = &'a str>) -> String {
-    let mut some: Vec<&str> = names.by_ref().take(8).collect();
-    some.extend(names.next().map(|_| "…"));
-    some.join(", ")
 }
 
 /// Number of frames from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or

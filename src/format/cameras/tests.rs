@@ -4,7 +4,9 @@ use serde_json::json;
 use super::*;
 use crate::capture::{self, LoadOptions};
 use crate::format::test_scenes::{camera, random_scene};
-use crate::format::{ReadOptions, WriteOptions, read_file, validate, write_scene};
+use crate::format::{
+    ReadOptions, WriteOptions, read_cameras, read_file, validate, write_cameras, write_cameras_with_scene, write_scene,
+};
 use crate::render::testing::largest;
 use crate::scene::Intrinsics;
 

@@ -11,7 +11,10 @@ use crate::scene::{Camera, Intrinsics};
 
 /// Writes cameras. Intrinsics that all frames share are written once. Images need not exist; rendered into the file's
 /// folder under the names in the file, they make it a dataset.
-pub(super) fn write(path: &Path, CameraFile { cameras, fps, y_up, .. }: &CameraFile) -> Result<u64, FormatError> {
+pub(in crate::format) fn write(
+    path: &Path,
+    CameraFile { cameras, fps, y_up, .. }: &CameraFile,
+) -> Result<u64, FormatError> {
     spare(path)?;
     let shared = cameras.first().map(|(_, first)| first.intrinsics());
     let shared = shared.filter(|k| cameras.iter().all(|(_, camera)| camera.intrinsics() == *k));

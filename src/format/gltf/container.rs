@@ -13,7 +13,7 @@ use super::glb;
 use crate::base64;
 use crate::format::blocks::{BLOCK_BYTES, in_waves};
 use crate::format::error::{Fault, FormatError};
-use crate::format::{atomic_write_with, has_extension};
+use crate::format::{Format, atomic_write_with};
 
 /// Content of buffer 0, in pieces aligned to 4 bytes.
 #[derive(Default)]
@@ -119,7 +119,7 @@ pub(super) fn write(path: &Path, document: Value, bin: &Bin<'_>) -> Result<u64, 
 }
 
 fn written(path: &Path, mut document: Value, bin: &Bin<'_>) -> Result<u64, FormatError> {
-    let is_text = has_extension(path, &["gltf"]);
+    let is_text = Format::of_path(path) == Some(Format::Gltf);
     if is_text {
         if bin.len() == 0 {
             return atomic_write_with(path, |file| Ok(serde_json::to_writer(file, &document)?));

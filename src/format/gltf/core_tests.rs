@@ -71,7 +71,7 @@ impl Builder {
     }
 
     #[expect(clippy::needless_pass_by_value, reason = "documents are written where they are read")]
-    pub(super) fn read(&self, rest: Value) -> Result<SceneFile, String> {
+    pub(super) fn read(&self, rest: Value) -> Result<Content, String> {
         let asset = Asset::parse(&self.file(&rest), PathBuf::new());
         asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
     }

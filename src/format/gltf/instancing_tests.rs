@@ -8,7 +8,7 @@ use super::extension::{HYBRID, INSTANCING, KHR_SPLATS};
 use super::remainder::remainder;
 use super::splat_tests::{khr, splat_document, splats};
 use super::*;
-use crate::format::{WriteOptions, mesh_import, read_file, validate, write_scene};
+use crate::format::{WriteOptions, mesh_import, read_file, read_scene, validate, write_scene};
 
 fn copied(attributes: &Value) -> Value {
     json!({ INSTANCING: { "attributes": attributes } })
@@ -96,10 +96,10 @@ fn copies_are_written_once_in_either_way() {
     assert!(write_scene(&at("same.gltf"), &file.scene, &options).unwrap().loss.is_none());
     let same = Asset::open(&at("same.gltf")).unwrap();
     assert_eq!(same.root["nodes"], document["nodes"]);
-    assert_eq!(read(&at("same.gltf")).unwrap().scene, file.scene);
+    assert_eq!(read_scene(&at("same.gltf")).unwrap(), file.scene);
     write_scene(&at("anew.glb"), &file.scene, &WriteOptions::default()).unwrap();
-    let anew = read(&at("anew.glb")).unwrap();
-    assert_eq!(anew.scene.meshes[0].triangles(), file.scene.meshes[0].triangles());
+    let anew = read_scene(&at("anew.glb")).unwrap();
+    assert_eq!(anew.meshes[0].triangles(), file.scene.meshes[0].triangles());
 }
 
 #[test]
@@ -133,9 +133,9 @@ fn copies_move_with_their_node() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.gltf");
     std::fs::write(&path, b.file(&document)).unwrap();
-    let rest = read_as_stored(&path, &ReadOptions::default()).unwrap();
-    let posed = read_as_stored(&path, &ReadOptions { time: Some(1.0), ..ReadOptions::default() }).unwrap().scene;
-    assert_eq!(rest.source.unwrap().at(&rest.scene, 1.0).unwrap(), posed);
+    let (rest, source) = read_as_stored(&path, &ReadOptions::default()).unwrap();
+    let posed = read_as_stored(&path, &ReadOptions { time: Some(1.0), ..ReadOptions::default() }).unwrap().0.scene;
+    assert_eq!(source.at(&rest.scene, 1.0).unwrap(), posed);
     let first = |scene: &HybridScene| scene.meshes.iter().map(|mesh| mesh.positions()[0]).collect::<Vec<_>>();
     assert_eq!(first(&rest.scene), [Vec3::ZERO, Vec3::new(0.0, 0.0, 5.0)]);
     assert_eq!(first(&posed), [Vec3::new(2.0, 0.0, 0.0), Vec3::new(2.0, 0.0, 5.0)]);

@@ -254,7 +254,7 @@ fn png_of(width: u32, height: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<u
 }
 
 /// Primitives of a material whose texture 0 is the picture in a buffer view, read by a sampler.
-fn pictured(b: &Builder, view: usize, primitives: &[Value], material: &Value, sampler: &Value) -> SceneFile {
+fn pictured(b: &Builder, view: usize, primitives: &[Value], material: &Value, sampler: &Value) -> Content {
     let file = b.read(json!({
         "meshes": [{ "primitives": primitives }], "materials": [material], "samplers": [sampler],
         "textures": [{ "source": 0, "sampler": 0 }], "images": [{ "bufferView": view, "mimeType": "image/png" }],
@@ -265,7 +265,7 @@ fn pictured(b: &Builder, view: usize, primitives: &[Value], material: &Value, sa
 /// As mips and the filter make it.
 #[test]
 fn a_clear_texel_does_not_erase_three_opaque_ones() {
-    let mean = |file: SceneFile| {
+    let mean = |file: Content| {
         let texels = file.scene.meshes[0].atlas().base().texels();
         assert_eq!(texels.len(), 16);
         activation::opacity(texels.iter().skip(3).step_by(4).sum::<f32>() / 4.0)

@@ -3,6 +3,26 @@
 //!
 //! Any glTF viewer shows the meshes with an 8-bit unlit base colour and the splats as coloured points; a splat viewer
 //! shows the splats; Centaur reads back exactly what it wrote.
+//!
+//! Hybrids are read, and plain `KHR_gaussian_splatting` files, and plain textured meshes:
+//!
+//! | of glTF | becomes |
+//! |---|---|
+//! | node transforms | part of positions, splats and cameras; harmonics turn along |
+//! | nodes that `KHR_node_visibility` makes invisible | nothing, with what is below, and a note |
+//! | copies by `EXT_mesh_gpu_instancing` | part of meshes and splats; where the node has a skin or splats are bound, one is shown, with a note |
+//! | primitives without `POSITION` | nothing, with a note |
+//! | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
+//! | animations | what [`Source::at`] poses the scene by |
+//! | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored; those that do not hold are ignored, with a note |
+//! | deformation fields | nothing, with a note |
+//! | materials | the hybrid extension's maps, else the base colour (by `KHR_materials_pbrSpecularGlossiness` the diffuse colour), or the emission of what is black or has no other picture, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps; pictures of the core that cannot be had are left out, with a note |
+//! | `COLOR_0` | a map; beside a texture a factor where it is one colour, else it is left out, with a note |
+//! | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |
+//! | cameras | pinholes; orthographic ones are left out, with a note |
+//!
+//! Files are refused that are no valid glTF 2.0, require an extension that is not understood here, or hold splats that
+//! cannot be represented: another kernel, a node that leaves them no extent along an axis, values that are not finite.
 
 mod accessor;
 pub(super) mod binding;
@@ -71,15 +91,11 @@ pub(super) use uri::{Loaded, bytes_of_files, resolve};
 pub(super) use uv::{Unrolling, UvMap};
 
 use super::cameras::{CameraFile, Sampling};
+use super::content::Content;
 use super::error::Fault;
-use super::{FormatError, ReadOptions, SceneFile, has_extension};
+use super::{FormatError, ReadOptions};
+use crate::scene::frame::HALF_TURN;
 use crate::scene::{Camera, Composition, HybridScene, Splats};
-
-/// Whether a file of this name is written as glTF.
-#[must_use]
-pub fn is_named(path: &Path) -> bool {
-    has_extension(path, &["glb", "gltf"])
-}
 
 /// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
 /// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings). The scene is in the frame of captures, y down; below a root
@@ -121,69 +137,51 @@ pub(super) fn write_over(
     Ok((container::write(path, document, &bin)?, false))
 }
 
-/// Reads a `.glb` or `.gltf` file: hybrids, plain `KHR_gaussian_splatting` files, plain textured meshes. The scene is in the frame of captures, y
-/// down, see [`SceneFile::y_up`].
-///
-/// | of glTF | becomes |
-/// |---|---|
-/// | node transforms | part of positions, splats and cameras; harmonics turn along |
-/// | nodes that `KHR_node_visibility` makes invisible | nothing, with what is below, and a note |
-/// | copies by `EXT_mesh_gpu_instancing` | part of meshes and splats; where the node has a skin or splats are bound, one is shown, with a note |
-/// | primitives without `POSITION` | nothing, with a note |
-/// | skins, morph targets | the mesh in its rest pose: joints as they stand, default weights; see [`Source::at`] |
-/// | animations | what [`Source::at`] poses the scene by |
-/// | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored; those that do not hold are ignored, with a note |
-/// | deformation fields | nothing, with a note |
-/// | materials | the hybrid extension's maps, else the base colour (by `KHR_materials_pbrSpecularGlossiness` the diffuse colour), or the emission of what is black or has no other picture, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps; pictures of the core that cannot be had are left out, with a note |
-/// | `COLOR_0` | a map; beside a texture a factor where it is one colour, else it is left out, with a note |
-/// | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |
-/// | cameras | pinholes; orthographic ones are left out, with a note |
+/// Reads a `.glb` or `.gltf` file. The scene is in the frame of captures, y down, see [`super::SceneFile::y_up`]; options keep
+/// the document for [`super::write_scene`], leaving its buffers in the file, and pose the scene.
 ///
 /// # Errors
-/// If the file cannot be read, is not valid glTF 2.0, requires an extension that is not understood here, or holds
-/// splats that cannot be represented (another kernel, a node that leaves them no extent along an axis, values that are not finite).
-pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
-    read_with(path, &ReadOptions::default())
-}
-
-/// Same as [`read`], with options: keeps the document for [`super::write_scene`], leaving its buffers in the file, and
-/// poses the scene.
-///
-/// # Errors
-/// Those of [`read`].
-pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
-    read_as_stored(path, options)?.in_capture_frame().map_err(|fault| fault.in_file(path))
+/// If the file cannot be read, or is refused for what it holds.
+pub(super) fn read(path: &Path, options: &ReadOptions<'_>) -> Result<(Content, Source), FormatError> {
+    let (stored, mut source) = read_as_stored(path, options)?;
+    let is_turned = stored.y_up;
+    let content = stored.in_capture_frame().map_err(|fault| fault.in_file(path))?;
+    if is_turned {
+        source.follow(HALF_TURN, &content.scene, &content.cameras);
+    }
+    Ok((content, source))
 }
 
 /// The same in the frame of the document, which is glTF's unless it is ours.
-fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
+fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<(Content, Source), FormatError> {
     let asset = Asset::open(path)?;
     let located = |fault: Fault| fault.in_file(path);
-    let (mut file, mut moving) = read::scene_and_motion(&asset, options.animations).map_err(located)?;
+    let (mut content, mut moving) = read::scene_and_motion(&asset, options.animations).map_err(located)?;
     let mut keep = options.keep_document;
     if let Some(time) = options.time {
         let (cameras, notes) = moving.cameras_at(time).map_err(located)?;
-        file.cameras = cameras;
+        content.cameras = cameras;
         notes.into_iter().for_each(|note| {
-            if !file.notes.contains(&note) {
-                file.notes.push(note);
+            if !content.notes.contains(&note) {
+                content.notes.push(note);
             }
         });
-        file.notes.extend(moving.overruled().into_iter().chain(moving.outside([time; 2])));
+        content.notes.extend(moving.overruled().into_iter().chain(moving.outside([time; 2])));
         if moving.is_still() {
-            file.notes.push(format!("/animations: there are none: at {time} s it is shown as it rests"));
+            content.notes.push(format!("/animations: there are none: at {time} s it is shown as it rests"));
         }
-        let posed = moving.scene(&file.scene, DMat4::IDENTITY, time);
-        file.scene = posed.map_err(|e| located(e.into()))?;
+        let posed = moving.scene(&content.scene, DMat4::IDENTITY, time);
+        content.scene = posed.map_err(|e| located(e.into()))?;
         // A posed scene is static, and no longer matches its document.
         keep &= moving.is_still();
         moving = moving.stopped(time);
     }
-    let mut source = Source::new(asset, &file.scene, &file.cameras, moving, keep);
+    let mut source = Source::new(asset, &content.scene, &content.cameras, moving, keep);
     if options.time.is_some() {
         source.forget(|role| matches!(role, Role::Moves | Role::Follows));
     }
-    Ok(SceneFile { record: source.extras().cloned(), source: Some(source), ..file })
+    content.record = source.extras().cloned();
+    Ok((content, source))
 }
 
 /// Reads the cameras only, animated ones frame by frame.
@@ -206,11 +204,9 @@ pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, Fo
 
 /// Writes the document of a glTF again with an added animated camera, which replaces previously added ones.
 pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile) -> Result<u64, FormatError> {
-    let file = read_as_stored(scene, &ReadOptions { keep_document: true, ..ReadOptions::default() })?;
-    let Some(source) = &file.source else {
-        return Err(Fault::whole("a glTF document", "another file").in_file(scene));
-    };
+    let options = ReadOptions { keep_document: true, ..ReadOptions::default() };
+    let (content, source) = read_as_stored(scene, &options)?;
     let (mut document, mut bin) = source.as_read();
-    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(file.y_up), file.scene.composition.near);
+    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(content.y_up), content.scene.composition.near);
     container::write(path, document, &bin)
 }

@@ -9,7 +9,7 @@ use super::extension::{HYBRID, KHR_SPLATS};
 use super::*;
 use crate::edit::Similarity;
 use crate::format::test_scenes::black_png;
-use crate::format::{WriteOptions, inspect, read_file, write_scene};
+use crate::format::{SceneFile, WriteOptions, inspect, read_file, read_scene, write_scene};
 
 /// A file on disk, as everything here is read by path.
 struct File {
@@ -27,13 +27,13 @@ impl File {
 
     /// As it rests, in the frame of the document.
     fn rest(&self) -> SceneFile {
-        read_as_stored(&self.path, &ReadOptions::default()).unwrap()
+        as_stored(&self.path, &ReadOptions::default())
     }
 
     /// Read at a time, which must be what the source of the scene at rest says as well.
     #[track_caller]
     fn at(&self, time: f64) -> SceneFile {
-        let posed = read_as_stored(&self.path, &ReadOptions { time: Some(time), ..ReadOptions::default() }).unwrap();
+        let posed = as_stored(&self.path, &ReadOptions { time: Some(time), ..ReadOptions::default() });
         let rest = self.rest();
         assert_eq!(rest.source.unwrap().at(&rest.scene, time).unwrap(), posed.scene);
         posed
@@ -44,6 +44,13 @@ impl File {
         let file = self.at(time);
         near(bytemuck::cast_slice(file.scene.meshes[0].positions()), expected.as_flattened(), 2e-6);
     }
+}
+
+/// A file in the frame of its document.
+#[track_caller]
+fn as_stored(path: &Path, options: &ReadOptions<'_>) -> SceneFile {
+    let (content, source) = read_as_stored(path, options).unwrap();
+    SceneFile { source: Some(source), ..SceneFile::new(content) }
 }
 
 /// An animation with one sampler a channel: (node, path, times, output, interpolation).
@@ -192,7 +199,7 @@ fn joints_that_are_invisible_carry_what_is_not() {
     for bad in [f32::NAN, -1.0] {
         let weights = b.floats(&[[bad, 0.0, 0.0, 0.0]; 3]);
         document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"] = json!(weights);
-        let message = read(&File::new(&b, &document).path).unwrap_err().to_string();
+        let message = read_scene(&File::new(&b, &document).path).unwrap_err().to_string();
         assert!(message.contains("/WEIGHTS_0: expected WEIGHTS_0 that add up to 1, found "), "{message}");
     }
 }
@@ -536,11 +543,11 @@ fn a_pose_is_no_document() {
     let report = write_scene(&out, &posed.scene, &options).unwrap();
     // Who asks for a pose has no use for what moves it.
     assert!(report.loss.is_rounding(), "{}", report.loss);
-    let back = read(&out).unwrap();
+    let back = read_file(&out, &ReadOptions::default()).unwrap();
     assert!(!back.source.unwrap().moves());
     assert_eq!(back.scene.splats.means().len(), 2);
     // As it rests it goes on as it was, animation and all.
-    let mut rest = read_as_stored(&file.path, &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
+    let mut rest = as_stored(&file.path, &ReadOptions { keep_document: true, ..ReadOptions::default() });
     // Half a turn about x to the frame that scenes are written in, and larger on the way.
     let turn = Similarity::new(2.0, DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::ZERO).unwrap();
     let mut source = rest.source.take().unwrap();
@@ -550,7 +557,7 @@ fn a_pose_is_no_document() {
     let report = write_scene(&out, &moved, &options).unwrap();
     assert!(report.loss.is_none(), "{}", report.loss);
     let time = ReadOptions { time: Some(0.5), ..ReadOptions::default() };
-    let back = read_as_stored(&out, &time).unwrap().scene;
+    let back = as_stored(&out, &time).scene;
     let larger = Similarity::new(2.0, DMat3::IDENTITY, DVec3::ZERO).unwrap().scene(posed.scene).unwrap();
     near(bytemuck::cast_slice(back.splats.means()), bytemuck::cast_slice(larger.splats.means()), 1e-6);
     near(back.splats.sh().as_flattened(), larger.splats.sh().as_flattened(), 1e-6);

@@ -16,20 +16,20 @@ use super::moving::Moving;
 use super::notes::Notes;
 use super::transform::{Visibility, all_placements_by, is_ours, local, placements};
 use super::{binding, camera, splats};
-use crate::format::SceneFile;
 use crate::format::activation::layers;
+use crate::format::content::Content;
 use crate::format::error::{Fault, from_value};
 use crate::format::placed::join;
 use crate::scene::rig::{Anchor, AttachedSplats, Rig};
 use crate::scene::{ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
 /// Scene in the rest pose.
-pub(in crate::format) fn scene(asset: &Asset) -> Result<SceneFile, Fault> {
-    scene_and_motion(asset, &[]).map(|(file, _)| file)
+pub(in crate::format) fn scene(asset: &Asset) -> Result<Content, Fault> {
+    scene_and_motion(asset, &[]).map(|(content, _)| content)
 }
 
 /// A scene as it rests, and what moves it: these of its animations, see [`super::super::ReadOptions::animations`].
-pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(SceneFile, Moving), Fault> {
+pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(Content, Moving), Fault> {
     asset.check_required()?;
     let (mut said, mut notes) = (Notes::default(), vec![]);
     notes.extend(asset.unshown().map(|name| format!("/extensionsRequired: {name} is not shown")));
@@ -97,18 +97,7 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     let moving = Moving::new(asset.document.clone(), motion, rig.map(|rig| (poses, rig)));
     let y_up = !is_ours(&asset.document);
     let notes = said.into_lines();
-    let file = SceneFile {
-        scene,
-        states_composition: is_stated,
-        cameras,
-        notes,
-        y_up,
-        attributes: vec![],
-        dropped: None,
-        source: None,
-        record: None,
-    };
-    Ok((file, moving))
+    Ok((Content { scene, states_composition: is_stated, cameras, notes, y_up, record: None }, moving))
 }
 
 /// Splats of a primitive at a node.

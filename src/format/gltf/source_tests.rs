@@ -14,7 +14,7 @@ use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::base64;
 use crate::format::test_scenes::{black_png, camera, random_scene};
-use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
+use crate::format::{ReadOptions, WriteOptions, read_file, read_scene, write_scene};
 use crate::scene::PixelFilter;
 
 const KEEP: ReadOptions<'_> = ReadOptions { drop_invalid: false, keep_document: true, time: None, animations: &[] };
@@ -363,7 +363,7 @@ fn files_beside_the_document_are_taken_in() {
     let view = &json["bufferViews"][image["bufferView"].as_u64().unwrap() as usize];
     let start = view["byteOffset"].as_u64().unwrap() as usize;
     assert_eq!(buffers[0][start..start + picture.len()], picture);
-    assert_eq!(read(&out).unwrap().scene.meshes, file.scene.meshes);
+    assert_eq!(read_scene(&out).unwrap().meshes, file.scene.meshes);
 }
 
 #[test]

@@ -6,8 +6,8 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 
 use super::*;
-use crate::format::FormatError;
 use crate::format::test_scenes::{camera, random_mesh, random_scene, random_splats};
+use crate::format::{FormatError, read_scene};
 use crate::scene::{Composition, Intrinsics, Splats, sh};
 
 fn bytes_of(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<u8> {
@@ -19,7 +19,7 @@ fn bytes_of(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<u8> {
     bytes
 }
 
-fn read_bytes(bytes: &[u8]) -> Result<SceneFile, String> {
+fn read_bytes(bytes: &[u8]) -> Result<Content, String> {
     let asset = Asset::parse(bytes, PathBuf::new());
     asset.and_then(|asset| read::scene(&asset)).map_err(|fault| fault.in_file(Path::new("f")).to_string())
 }
@@ -441,7 +441,7 @@ fn messages_name_file_place_expected_and_found() {
     required["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
     assert!(read_bytes(&with_json(&glb, &required)).unwrap_err().contains("found `KHR_draco_mesh_compression`"));
     assert!(read_bytes(b"{ \"asset\": ").unwrap_err().starts_with("f: byte 11: expected glTF JSON"));
-    let missing = read(Path::new("/nonexistent/scene.glb")).unwrap_err();
+    let missing = read(Path::new("/nonexistent/scene.glb"), &ReadOptions::default()).unwrap_err();
     assert!(matches!(missing, FormatError::Read { .. }), "{missing}");
 }
 
@@ -456,13 +456,13 @@ fn text_gltf_with_a_data_uri_and_with_an_external_buffer() {
     json["buffers"][0]["uri"] = json!("scene%20data.bin");
     let path = folder.path().join("scene.gltf");
     std::fs::write(&path, json.to_string()).unwrap();
-    assert_eq!(read(&path).unwrap().scene.meshes, scene.meshes);
+    assert_eq!(read_scene(&path).unwrap().meshes, scene.meshes);
     json["buffers"][0]["uri"] = json!("../scene.bin");
     std::fs::write(&path, json.to_string()).unwrap();
-    assert!(read(&path).unwrap_err().to_string().contains("/buffers/0/uri: expected a path inside the folder"));
+    assert!(read_scene(&path).unwrap_err().to_string().contains("/buffers/0/uri: expected a path inside the folder"));
     json["buffers"][0]["uri"] = json!("data:application/octet-stream;base64,AAAA");
     std::fs::write(&path, json.to_string()).unwrap();
-    assert!(read(&path).unwrap_err().to_string().contains("found 3 bytes"));
+    assert!(read_scene(&path).unwrap_err().to_string().contains("found 3 bytes"));
 }
 
 #[test]

@@ -8,11 +8,12 @@ use std::path::Path;
 use glam::Vec3;
 use serde::Serialize;
 
+use super::content::Content;
 use super::error::file_bytes;
 use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::stored_bytes;
 use super::validate::unknown_properties;
-use super::{FormatError, Kind, ReadOptions, SceneFile, has_extension, kind, ply, read_file, usd};
+use super::{Format, FormatError, ReadOptions, detect, ply, read_file, usd};
 use crate::scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` provides the same to scripts.
@@ -119,12 +120,13 @@ pub struct CompositionSummary {
 /// # Errors
 /// Those of [`super::read_scene`].
 pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
-    match kind(path)? {
-        Kind::Gltf => {
+    let format = detect(path)?;
+    match format {
+        Format::Glb | Format::Gltf => {
             let asset = Asset::open(path)?;
             let document = gltf::describe(&asset).map_err(|fault| fault.in_file(path))?;
             // What cannot be rendered can still be looked at.
-            let scene = scene_of(&asset).and_then(SceneFile::in_capture_frame);
+            let scene = scene_of(&asset).and_then(Content::in_capture_frame);
             let is_scene = scene.is_ok();
             let (scene, stated, cameras, mut warnings) = match scene {
                 Ok(file) => (file.scene, file.states_composition, file.cameras, file.notes),
@@ -149,25 +151,24 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 warnings,
                 extensions_used: asset.extensions_used,
                 extensions_required: asset.extensions_required,
-                ..summary(path, total, &scene)
+                ..summary(path, format, total, &scene)
             })
         }
-        Kind::Usd => {
+        Format::Usda | Format::Usdc | Format::Usdz => {
             let file = usd::read(path)?;
             let (own, bytes) = (file_bytes(path)?, stored_bytes(path)?);
-            let is_package = has_extension(path, &["usdz"]);
-            let parts = [(if is_package { "package" } else { "layer" }, own), ("beside", bytes - own)];
+            let part = if format == Format::Usdz { "package" } else { "layer" };
+            let parts = [(part, own), ("beside", bytes - own)];
             Ok(Summary {
-                format: Kind::Usd.name(),
                 cameras: file.cameras.len(),
                 optics: optics(&file.cameras),
                 composition: composition(&file.scene, file.states_composition),
                 bytes_by_part: parts.into_iter().filter(|(_, bytes)| *bytes > 0).collect(),
                 warnings: file.notes,
-                ..summary(path, bytes, &file.scene)
+                ..summary(path, format, bytes, &file.scene)
             })
         }
-        Kind::Ply => {
+        Format::Ply | Format::CompressedPly => {
             let bytes = file_bytes(path)?;
             let (tables, is_of_splats) = ply::tables(path)?;
             let (scene, warnings) = if is_of_splats {
@@ -181,31 +182,29 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let part = if is_of_splats { "splats" } else { "tables" };
             let bytes_by_part = BTreeMap::from([(part, bytes)]);
             Ok(Summary {
-                format: Kind::Ply.name(),
                 warnings,
                 tables,
                 bytes_by_part,
                 pixel_filter: is_of_splats.then_some(scene.composition.pixel_filter),
-                ..summary(path, bytes, &scene)
+                ..summary(path, format, bytes, &scene)
             })
         }
-        kind => {
+        _ => {
             let file = read_file(path, &ReadOptions::default())?;
             let bytes = stored_bytes(path)?;
             Ok(Summary {
-                format: kind.name(),
                 warnings: file.notes,
                 pixel_filter: Some(file.scene.composition.pixel_filter),
-                ..summary(path, bytes, &file.scene)
+                ..summary(path, format, bytes, &file.scene)
             })
         }
     }
 }
 
-fn summary(path: &Path, bytes: u64, scene: &HybridScene) -> Summary {
+fn summary(path: &Path, format: Format, bytes: u64, scene: &HybridScene) -> Summary {
     Summary {
         file: path.display().to_string(),
-        format: Kind::Gltf.name(),
+        format: format.name(),
         bytes,
         bytes_by_part: BTreeMap::from([("splats", bytes)]),
         total_floats: scene.total_floats(),

@@ -22,11 +22,11 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::files::FileSet;
-use super::error::{Fault, FormatError, shown};
+use super::NotedSplats;
+use super::error::{Fault, FormatError, shown, some_of};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::SplatRecord;
-use super::{NotedSplats, some_of};
-use crate::scene::Splats;
+use crate::scene::{PixelFilter, Splats};
 
 /// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
 /// to 3. Frame and colour space are the file's own, which the format cannot state.
@@ -93,16 +93,15 @@ impl FileSet {
 /// # Errors
 /// If a file cannot be written, or there are more splats than an image has texels (16384²).
 pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
-    write_with(path, splats, false)
+    write_with(path, splats, PixelFilter::DILATION)
 }
 
-/// Same as [`write()`]; `antialiased` is stated in the file: whether projections of splats keep their integral
-/// (`PixelFilter::normalized`).
+/// Same as [`write()`]; of the filter the file states whether projections of splats keep their integral.
 ///
 /// # Errors
 /// Those of [`write()`].
-pub fn write_with(path: &Path, splats: &Splats, antialiased: bool) -> Result<WriteReport, FormatError> {
-    let encoded = encode::encode(splats, antialiased).map_err(|fault| fault.in_file(path))?;
+pub(super) fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Result<WriteReport, FormatError> {
+    let encoded = encode::encode(splats, pixel_filter.normalized).map_err(|fault| fault.in_file(path))?;
     let written = decode::Scheme::parse(&encoded.meta, u64::MAX).map_err(|fault| fault.in_file(path))?;
     let written = written.decoder(&encoded.images).map_err(|fault| fault.in_file(path))?;
     let errors = encoded.order.par_iter().enumerate().map(|(i, &source)| {

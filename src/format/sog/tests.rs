@@ -209,7 +209,7 @@ fn a_codebook_may_be_short() {
 fn antialiasing_is_said_as_every_reader_knows_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.sog");
-    write_with(&path, &random_splats(9, 0, 4), true).unwrap();
+    write_with(&path, &random_splats(9, 0, 4), PixelFilter::NORMALIZED_DILATION).unwrap();
     let zip = std::fs::read(&path).unwrap();
     let read = |change: &dyn Fn(&mut Value)| {
         let NotedSplats { pixel_filter, notes, .. } =

@@ -12,6 +12,14 @@
 //!
 //! Files are y up: a capture's world is rotated by half a turn about x, including SH and maps.
 //!
+//! Splats, meshes and cameras of other programs are converted to metres. One layer is read; what would have to be composed
+//! of several is named in the notes. Files are refused that are malformed or hold splats that cannot be represented: a
+//! transform that flattens them, non-finite values.
+//!
+//! A `.usda` is written with its pictures beside it, under names that begin with its own. Scales and opacities are stored
+//! linearly in f32, as the schema requires: log-scales are recovered to 1e-6, opacities to 1e-7, all other optimised
+//! values bit for bit.
+//!
 //! ```text
 //! file ──→ package ──→ lex, parse ──→ document ──→ stage, xform, to_scene (splats, surfaces, materials, views) ──→ scene
 //!                └───→ binary ──────────┘
@@ -53,21 +61,19 @@ use self::materials::Materials;
 use self::package::{Opened, Place, located};
 use self::stage::Stage;
 use super::cameras::{CameraFile, Sampling};
+use super::content::Content;
 use super::error::Fault;
-use super::{FormatError, SceneFile, atomic_write, atomic_write_with, exchange, has_extension};
+use super::{Format, FormatError, atomic_write, atomic_write_with, exchange};
 use crate::scene::{Camera, ColorSpace, HybridScene};
 
-/// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file: our own, or splats, meshes and cameras of other programs, converted to
-/// metres and the frame of captures, y down, see [`SceneFile::y_up`]. One layer is read; what would have to be composed of several is named in the
-/// notes.
+/// Reads a `.usda`, `.usdc`, `.usd` or `.usdz` file in the frame of captures, y down, see [`super::SceneFile::y_up`].
 ///
 /// # Errors
-/// If the file cannot be read, is malformed, or holds splats that cannot be represented (a transform that flattens
-/// them, non-finite values).
-pub fn read(path: &Path) -> Result<SceneFile, FormatError> {
+/// If the file cannot be read, or is refused for what it holds.
+pub(super) fn read(path: &Path) -> Result<Content, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
     let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
-    let scene = scene.and_then(SceneFile::in_capture_frame);
+    let scene = scene.and_then(Content::in_capture_frame);
     scene.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
@@ -127,21 +133,18 @@ fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
 
 /// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
 /// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the names of
-/// the pictures. `record` is kept, see [`SceneFile::record`]. The scene is in the frame of captures, y down, and turned half about x.
-///
-/// Scales and opacities are stored linearly in f32, as the schema requires: log-scales are recovered to 1e-6, opacities
-/// to 1e-7. All other optimised values are recovered bit for bit.
+/// the pictures. `record` is kept, see [`super::SceneFile::record`]. The scene is in the frame of captures, y down, and turned half about x.
 ///
 /// # Errors
 /// If a file cannot be written, a `.usdz` would hold a file of more than 4 GiB, or the composition is not valid.
-pub fn write(
+pub(super) fn write(
     path: &Path,
     scene: &HybridScene,
     cameras: &[(String, Camera)],
     record: Option<&serde_json::Value>,
 ) -> Result<(u64, Vec<String>), FormatError> {
     scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
-    let is_package = has_extension(path, &["usdz"]);
+    let is_package = Format::of_path(path) == Some(Format::Usdz);
     let prefix = if is_package { String::new() } else { format!("{}_", exchange::stem(path, ".usda")) };
     let failed = |reason| FormatError::Write { file: path.to_owned(), source: std::io::Error::other(reason) };
     let export = from_scene::export(scene, cameras, record, &prefix).map_err(failed)?;
@@ -173,7 +176,13 @@ pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, Fo
     atomic_write_with(path, |out| print::print(&layer, out))
 }
 
-/// Whether a file that begins with `start` is a layer, in text or binary form, or a package of one.
-pub(super) fn is_usd(start: &[u8]) -> bool {
-    start.starts_with(b"#usda") || start.starts_with(binary::MAGIC) || package::is_package(start)
+/// Format of a file that begins with `start`, if it is a layer, in text or binary form, or a package of one.
+pub(super) fn format_of(start: &[u8]) -> Option<Format> {
+    if start.starts_with(b"#usda") {
+        Some(Format::Usda)
+    } else if start.starts_with(binary::MAGIC) {
+        Some(Format::Usdc)
+    } else {
+        package::is_package(start).then_some(Format::Usdz)
+    }
 }

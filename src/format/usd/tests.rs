@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::format::map_budget::MapBudget;
 use crate::format::test_scenes::{camera, random_scene};
-use crate::format::{ReadOptions, WriteOptions, read_file, write_scene};
+use crate::format::{ReadOptions, SceneFile, WriteOptions, read_file, write_scene};
 use crate::scene::{Splats, sh};
 
 fn assert_close(a: &Splats, b: &Splats) {
@@ -25,7 +25,7 @@ pub(super) fn folder_with(text: &str) -> (tempfile::TempDir, std::path::PathBuf)
     (folder, path)
 }
 
-pub(super) fn read_text(text: &str) -> SceneFile {
+pub(super) fn read_text(text: &str) -> Content {
     let (_folder, path) = folder_with(text);
     read(&path).unwrap()
 }

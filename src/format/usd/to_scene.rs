@@ -9,9 +9,9 @@ use super::materials::Materials;
 use super::package::Place;
 use super::stage::{Placed, Stage};
 use super::{foreign, frame, names, splats, surfaces, views, xform};
-use crate::format::SceneFile;
 use crate::format::activation::layers;
 use crate::format::cameras::short;
+use crate::format::content::Content;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
 use crate::format::placed::{self, join};
@@ -29,7 +29,7 @@ const SILENT: [&str; 10] =
 const ARCS: [&str; 4] = ["references", "payload", "inherits", "specializes"];
 
 /// Reads a layer whose files are in `place`: in the frame of the capture if it is ours, else y up.
-pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault> {
+pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<Content, Fault> {
     let stage = Stage::new(layer);
     let mut notes = vec![];
     let to_world = units(layer, &mut notes)?;
@@ -71,17 +71,7 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<SceneFile, Fault
         scene = frame::back(scene).map_err(|e| Fault::from(e).under("/"))?;
     }
     let record = record(layer, &mut notes);
-    Ok(SceneFile {
-        scene,
-        states_composition: root.is_some(),
-        cameras,
-        notes,
-        y_up: !is_ours,
-        attributes: vec![],
-        dropped: None,
-        source: None,
-        record,
-    })
+    Ok(Content { scene, states_composition: root.is_some(), cameras, notes, y_up: !is_ours, record })
 }
 
 /// Record of how the scene was made, if the layer has one.

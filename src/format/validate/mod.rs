@@ -15,7 +15,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::error::{Fault, FormatError, Location, one_line, read_file};
-use super::{Kind, kind, read_scene};
+use super::{Format, detect, read_scene};
 
 /// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -70,23 +70,22 @@ pub struct Validation {
 /// # Errors
 /// If the file cannot be read or is of none of these formats. Faults *in* the file are findings, not errors.
 pub fn validate(path: &Path) -> Result<Validation, FormatError> {
-    let kind = kind(path)?;
+    let (format, folder) = (detect(path)?, path.parent().unwrap_or(Path::new("")));
     let mut findings = Findings::default();
-    match kind {
-        Kind::Gltf => gltf::check(&read_file(path)?, path.parent().unwrap_or(Path::new("")), &mut findings),
-        Kind::Ply => ply::check(&read_file(path)?, &mut findings),
-        Kind::Spz => spz::check(&read_file(path)?, &mut findings),
-        Kind::Usd => {
+    match format {
+        Format::Glb | Format::Gltf => gltf::check(&read_file(path)?, folder, &mut findings),
+        Format::Ply | Format::CompressedPly => ply::check(&read_file(path)?, &mut findings),
+        Format::Spz => spz::check(&read_file(path)?, &mut findings),
+        Format::Usda | Format::Usdc | Format::Usdz => {
             let found = findings.content(usd::check(path))?;
             findings.0.extend(found.into_iter().flatten());
         }
-        Kind::Ksplat | Kind::Sog | Kind::Splat => drop(findings.content(read_scene(path))?),
+        _ => drop(findings.content(read_scene(path))?),
     }
-    let format = kind.name();
     let Findings(findings) = findings;
     let errors = findings.iter().filter(|f| f.severity == Severity::Error).count();
     let warnings = findings.len() - errors;
-    Ok(Validation { file: path.display().to_string(), format, errors, warnings, findings })
+    Ok(Validation { file: path.display().to_string(), format: format.name(), errors, warnings, findings })
 }
 
 /// Warnings, as in a [`Validation`], about mistyped properties of the hybrid extension in the JSON of a glTF, one
@@ -205,7 +204,7 @@ impl fmt::Display for Validation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.findings.iter().try_for_each(|finding| writeln!(f, "{finding}"))?;
         write!(f, "{}: {}, {} error(s), {} warning(s)", one_line(&self.file), self.format, self.errors, self.warnings)?;
-        if [Kind::Ksplat, Kind::Sog, Kind::Splat].iter().any(|kind| kind.name() == self.format) {
+        if [Format::Ksplat, Format::Sog, Format::Splat].iter().any(|format| format.name() == self.format) {
             write!(f, "; all that is checked of this format is that it can be read")?;
         }
         Ok(())

@@ -80,7 +80,11 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Result<WriteReport, FormatError> {
+pub(in crate::format) fn write_with(
+    path: &Path,
+    splats: &Splats,
+    pixel_filter: PixelFilter,
+) -> Result<WriteReport, FormatError> {
     let bands = sh::coefficients(splats.sh_degree()) - 1;
     let order = in_morton_order(splats);
     let chunks = splats.len().div_ceil(CHUNK);

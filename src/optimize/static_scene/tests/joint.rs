@@ -2,7 +2,7 @@
 
 use super::{plan::Plan, *};
 use crate::{
-    format::gltf,
+    format::{gltf, read_scene},
     optimize::{resolution::ResolutionSchedule, schedule::Schedule},
     render::{
         gpu::{Renderer, state::SplatState, training::Show},
@@ -93,7 +93,7 @@ fn file_shows_what_trainer_showed(options: &TrainOptions) {
         let trained = run.finish(training, scene, outcome).unwrap();
         let path = folder.path().join("scene.glb");
         gltf::write_glb(&path, &trained.scene, &[], None).unwrap();
-        let read = gltf::read(&path).unwrap().scene;
+        let read = read_scene(&path).unwrap();
         let mut renderer = Renderer::new(run.session.gpu, &read, &run.cameras).unwrap();
         for camera in run.cameras.clone().iter().step_by(6) {
             let before = training.render(camera, scene.composition.background, Show::All).unwrap();
