@@ -105,7 +105,7 @@ class Cameras(unittest.TestCase):
             self.assertEqual(self.refused(labels, "x"), f"no camera `x`; there are {few}{rest}")
 
     def test_none_is_said_as_convert_says_it(self):
-        note = "there are no cameras; a picture needs a <sensor>"
+        note = "there are no cameras: add a <sensor> to render images"
         self.assertEqual(self.refused([], "0"), note)
         self.assertIn(f'"{note}"', SCRIPT.with_name("mod.rs").read_text(encoding="utf-8"))
 

@@ -226,7 +226,7 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
         let (pinhole, outside) = source.lens.rectify(&rgba);
         let shows = |rgba: &[u8]| rgba.iter().skip(3).step_by(4).any(|alpha| *alpha > 0);
         if shows(&rgba) && !shows(&pinhole) {
-            let expected = "one with a pinhole image";
+            let expected = "one that leaves a pinhole image";
             let found = "none of the photograph in it";
             return Err(CaptureError::invalid(&source.image, "lens distortion", expected, found));
         }
@@ -453,7 +453,7 @@ mod tests {
         let said = with(-1e6).unwrap_err().to_string();
         assert!(
             said.ends_with(
-                "00.png: lens distortion: expected one with a pinhole image, found none of the photograph in it"
+                "00.png: lens distortion: expected one that leaves a pinhole image, found none of the photograph in it"
             ),
             "{said}"
         );

@@ -245,7 +245,7 @@ pub(super) fn parse(
         let is_in = |frame: &Frame, folder: &str| Path::new(&frame.name).starts_with(folder);
         // Photographs of other folders would keep their size, beside smaller ones.
         if let Some(other) = frames.iter().find(|frame| !(is_in(frame, "images") || is_in(frame, folder))) {
-            let expected = "a path that begins with images/, for another folder to take its place";
+            let expected = "a path that begins with images/, so that --images can replace that folder";
             return Err(CaptureError::invalid(path, format!("{}/file_path", other.at), expected, &other.name));
         }
     }
@@ -329,7 +329,7 @@ fn lens(
         _ if whole.is_file() => images::header(whole)?.stored().1,
         // Angles apply to any size, but lengths in pixels only to that of the whole image.
         _ if value(|l| l.fl_x).or(value(|l| l.fl_y)).or(value(|l| l.cx)).or(value(|l| l.cy)).is_some() => {
-            let expected = "w and h beside fl_x, as the photographs that these are of are not there";
+            let expected = "w and h beside fl_x, because the photographs are missing";
             return Err(CaptureError::invalid(path, at, expected, "neither"));
         }
         _ => images::header(image)?.stored().1,

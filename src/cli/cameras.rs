@@ -27,34 +27,35 @@ Examples:
   centaur render garden.glb --cameras orbit.json -o frames --video orbit.mp4
 
 SOURCE is a capture or COLMAP model (folder), a transforms*.json or camera_path.json, or a .glb,
-.gltf, .usda, .usdc or .usdz: a scene of Centaur holds the cameras that it was trained from.
-Photographs are not needed where the size of images is stated. Its world is that of the capture,
-y down, also where it is a glTF or USD of Centaur, which store that turned by half a turn about x;
-other glTF and USD are y up.
+.gltf, .usda, .usdc or .usdz; scenes of Centaur contain the cameras that they were trained from.
+Photographs are not needed if the size of images is stated. Coordinates are those of the capture,
+y down, also for glTF and USD files of Centaur, which store them rotated by 180 degrees about x;
+other glTF and USD files are y up.
 
-Any other scene that `centaur convert` reads may be SOURCE of a path, too: where it has no cameras,
-8 in a ring look at it, 1024x768 and 45 degrees high, 15 degrees from above. Its middle and size are
-those of the box of nine tenths of splats, weighted by opacity, and of vertices along each axis.
+To make a path, SOURCE may also be any other scene that `centaur convert` reads. If it has no
+cameras, 8 cameras in a ring look at it from 15 degrees above, with 1024x768 pixels and a vertical
+field of view of 45 degrees. Its centre and size are those of the box that holds nine tenths of the
+splats, weighted by opacity, and of the vertices along each axis.
 
-OUT is, by its name:
+The name of OUT determines the format:
   .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera
-                 to world, with OpenGL axes (x right, y up, z backwards); besides `fps` and, under
-                 `centaur`, whether that world is y up, which Centaur goes by
-  .glb, .gltf    one animated camera, y up; a capture's world (y down) is turned by half a turn
-                 about x, as in scenes of Centaur, so that both fit in Blender. Exact intrinsics
-                 are in `extras`
-  .usda          one Camera with time samples, y up likewise, one frame a time code
+                 to world, with OpenGL axes (x right, y up, z backwards). Also stores `fps` and,
+                 under `centaur`, whether the world is y up, which Centaur reads back
+  .glb, .gltf    one animated camera, y up; the world of a capture (y down) is rotated by 180
+                 degrees about x, as in scenes of Centaur, so that both match in Blender. Exact
+                 intrinsics are in `extras`
+  .usda          one Camera with time samples, also y up, one frame per time code
   a folder       COLMAP's sparse/0/{cameras,images,points3D}.txt: world to camera, OpenCV axes, in
-                 the world of SOURCE
+                 the world of SOURCE, turned to y down if it is y up
 
-Of a shot that SOURCE begins later than at 0 s, .glb, .gltf and .usda keep the times.
+If a shot in SOURCE begins later than at 0 s, .glb, .gltf and .usda keep its times.
 
-A capture is neither replaced nor hidden: a folder that holds one is refused for COLMAP and for
-transforms*.json.";
+Existing captures are neither replaced nor hidden: a folder that contains one is refused for COLMAP
+and for transforms*.json.";
 
-/// Make camera paths from posed cameras, and convert them between formats
+/// Make camera paths from posed cameras, and convert cameras between formats
 ///
-/// A path is what `centaur render --cameras` takes, and other programs open.
+/// Camera paths can be rendered with `centaur render --cameras` and opened in other programs.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -64,10 +65,10 @@ pub(super) struct Args {
 
 #[derive(Subcommand)]
 enum Kind {
-    /// A circle around what the cameras look at
+    /// Circle around the point that the cameras look at
     ///
-    /// Around the point nearest to all optical axes, in the plane that fits the cameras, with radius and height of the cameras on
-    /// average. Begins beside the first camera; can be looped.
+    /// The centre is the point nearest to all optical axes. The circle lies in the plane that fits the cameras best,
+    /// has their mean radius and height, starts next to the first camera, and can be looped.
     Orbit {
         #[command(flatten)]
         files: FileArgs,
@@ -76,25 +77,25 @@ enum Kind {
         #[command(flatten)]
         around: AroundArgs,
     },
-    /// A smooth flight through the cameras, at one speed
+    /// Smooth flight through the cameras at constant speed
     ///
-    /// In the order of their names (`frame_2` before `frame_10`), or of the file where it is a path.
+    /// Cameras are visited in the order of their names (`frame_2` before `frame_10`), or of the file if it is a path.
     Spline {
         #[command(flatten)]
         files: FileArgs,
         #[command(flatten)]
         shot: ShotArgs,
-        /// Cameras to go through, evenly picked from all in order [default: all]
+        /// Number of cameras to pass through, evenly selected from all in order [default: all]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
         keys: Option<u32>,
-        /// Go on from the last to the first, so that the shot can be looped
+        /// Continue from the last camera to the first, so that the shot can be looped
         #[arg(long)]
         closed: bool,
     },
-    /// A figure of eight before the mean camera, looking at what the cameras look at
+    /// Figure of eight around the mean position of the cameras, facing the point that they look at
     ///
-    /// As wide as the cameras spread across the view, at most half the distance; where they are all around, before the first of
-    /// them. Can be looped.
+    /// It is as wide as the spread of the cameras across the view, at most half the distance; if the cameras surround
+    /// the point, it lies around the direction of the first one. It can be looped.
     Lemniscate {
         #[command(flatten)]
         files: FileArgs,
@@ -103,7 +104,7 @@ enum Kind {
         #[command(flatten)]
         around: AroundArgs,
     },
-    /// The cameras themselves, in another format
+    /// Convert the cameras to another format
     Convert {
         #[command(flatten)]
         files: FileArgs,
@@ -114,14 +115,15 @@ enum Kind {
 
 #[derive(clap::Args)]
 struct FileArgs {
-    /// What has the cameras: a capture, a scene, a path; for making a path also a scene without
+    /// Source of the cameras: a capture, a scene or a path; to make a path, also a scene without cameras
     #[arg(value_name = "SOURCE")]
     source: PathBuf,
-    /// File (.json, .glb, .gltf, .usda) or folder (COLMAP) to write
+    /// File (.json, .glb, .gltf or .usda) or folder (COLMAP) to write
     #[arg(short, long, value_name = "OUT", value_parser = output::path(writable))]
     output: PathBuf,
-    /// Write SOURCE, a .glb or .gltf, again with the path in it: OUT is a .glb or .gltf that renders as the path. A path that
-    /// was written into SOURCE so before gives way
+    /// Write a copy of SOURCE that contains the path, so that rendering OUT follows it; both are .glb or .gltf
+    ///
+    /// A path that was added to SOURCE in this way before is replaced.
     #[arg(long)]
     with_scene: bool,
     /// Print one JSON object on stdout
@@ -135,13 +137,13 @@ struct ShotArgs {
     /// Number of frames
     #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: u32,
-    /// Frames a second
+    /// Frames per second
     #[arg(long, value_name = "N", default_value_t = DEFAULT_FPS, value_parser = frame_rate)]
     fps: f64,
-    /// Size of the pictures in pixels [default: that of the cameras]
+    /// Size of the images in pixels [default: that of the cameras]
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[u32; 2]>,
-    /// Vertical field of view in degrees [default: that of the cameras; their median where they differ]
+    /// Vertical field of view in degrees [default: that of the cameras, or their median if they differ]
     #[arg(long, value_name = "DEGREES", value_parser = field_of_view)]
     fov: Option<f64>,
 }
@@ -149,20 +151,20 @@ struct ShotArgs {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Path")]
 struct AroundArgs {
-    /// What to look at, in the world of SOURCE [default: the point nearest to the cameras' optical axes]
+    /// Point to look at, in the world of SOURCE [default: the point nearest to the optical axes of the cameras]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     focus: Option<DVec3>,
-    /// Orbit: radius of the circle; lemniscate: half the width of the figure of eight [default: from the cameras]
+    /// Radius of an orbit, or half the width of a figure of eight [default: from the cameras]
     #[arg(long, value_name = "R", value_parser = positive, allow_hyphen_values = true)]
     radius: Option<f64>,
-    /// Orbit: height of the circle above the focus [default: from the cameras]; lemniscate: half the height of the figure of eight
+    /// Height of an orbit above the focus [default: from the cameras], or half the height of a figure of eight
     /// [default: a third of the radius]
     #[arg(long, value_name = "H", value_parser = number, allow_hyphen_values = true)]
     height: Option<f64>,
-    /// Factor of the radius
+    /// Factor by which the radius is multiplied
     #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = positive, allow_hyphen_values = true)]
     radius_scale: f64,
-    /// Factor of the height
+    /// Factor by which the height is multiplied
     #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = number, allow_hyphen_values = true)]
     height_scale: f64,
 }
@@ -189,7 +191,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
             let options = Spline { keys: keys.map(|n| n as usize), closed: *closed };
             files.generate(shot, |views, notes| {
                 if let Some(keys) = keys.filter(|&keys| keys as usize > views.len()) {
-                    notes.push(format!("--keys {keys}: all of {} are keys", output::counted(views.len(), "camera")));
+                    notes.push(format!(
+                        "--keys {keys}: there are only {}, which are all keys",
+                        output::counted(views.len(), "camera")
+                    ));
                 }
                 path::spline(views, &options, &shot.shot())
             })
@@ -228,7 +233,7 @@ impl FileArgs {
         if !self.with_scene {
             let spared = output::spare(&self.output, [self.source.as_path()]);
             if self.is_gltf() {
-                let advice = "with --with-scene it is written again with the path in it";
+                let advice = "--with-scene writes it again with the path added";
                 spared.map_err(|error| anyhow!("{error}; {advice}"))?;
             } else {
                 spared?;
@@ -254,7 +259,7 @@ impl FileArgs {
             Err(fault) => return Err(if is_scene { fault.into() } else { error }),
         };
         let (mut views, _) = shared::cameras_around(&self.source, &scene, &Sampling::default())?;
-        views.notes.push(format!("holds no cameras: the path goes by {} around what it shows", shared::PLACES));
+        views.notes.push(format!("has no cameras: the path is made from {} around the scene", shared::PLACES));
         Ok(views)
     }
 
@@ -304,17 +309,20 @@ impl FileArgs {
         };
         let CameraFile { cameras, fps, times, mut notes, y_up } = file;
         if self.is_gltf() && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
-            notes.push("intrinsics differ, which glTF does not animate: a camera for each frame".to_owned());
+            notes.push(
+                "intrinsics differ between frames, which glTF cannot animate: every frame has a camera of its own"
+                    .to_owned(),
+            );
         }
         if y_up && is_folder(&self.output) {
             notes.push(
-                "its world is y up: turned half about x into the frame of captures, which COLMAP models have"
+                "its world is y up: rotated by 180° about x into the frame of captures (y down), which COLMAP models have"
                     .to_owned(),
             );
         }
         if times.windows(2).any(|pair| pair[0] >= pair[1]) {
             notes.push(
-                "several cameras move: their frames come one camera after the other, in one path; --camera NAME takes those of one"
+                "several cameras move: the path has the frames of one after those of the other; --camera NAME selects one"
                     .to_owned(),
             );
         }
@@ -323,7 +331,7 @@ impl FileArgs {
             // Blender's first frame is at a twenty-fourth of a second: rounded, because 17 digits are useless.
             let begins = (1e3 * begins).round() / 1e3;
             notes.push(format!(
-                "begins at {begins} s, which {} does not say: there it begins at 0",
+                "begins at {begins} s, which {} cannot store: there it begins at 0",
                 self.output.display()
             ));
         }

@@ -37,45 +37,52 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 
 /// Convert scenes between formats, and move, crop, thin or join them
 ///
-/// The output's format is that of its extension; an .xml is for Mitsuba, a .blend.py is a script that builds the scene in
-/// Blender. Lines that begin with `lost:` name what it cannot hold; --strict makes that an error. What options remove, and what 32 bits
-/// round, is no loss; that a format has no record of the training is said, and no error.
+/// The extension of the output determines its format; .xml is for Mitsuba, and .blend.py is a script that builds the
+/// scene in Blender. Lines that begin with `lost:` state what the output format cannot hold; --strict makes such losses
+/// an error. Parts removed by options and rounding to 32 bits do not count as losses; a format that cannot hold the
+/// record of the training is reported, but is no error.
 ///
-/// The largest errors there are over all splats: of positions in units of the scene, of scales in the natural logarithm of a standard
-/// deviation (0.01 is 1 %), of opacity and of the colour without bands in parts of the range from 0 to 1. Colours beyond that range, which formats
-/// of 8 bits clip, are where the latter is large.
+/// Stated errors are the largest over all splats: of positions in units of the scene, of scales in the natural
+/// logarithm of a standard deviation (0.01 is 1 %), of opacity and of the colour without higher bands as fractions of
+/// the range from 0 to 1. The error of the colour is large if colours lie beyond that range, which formats of 8 bits
+/// clip.
 ///
-/// From glTF to glTF the document itself is written again, with its animations, skins, morph targets, materials, extras and
-/// unknown extensions, as long as its scene is whole: moving it without mirroring and --no-cameras leave it so, other edits and
-/// joining do not.
+/// From glTF to glTF, the document itself is written again, with its animations, skins, morph targets, materials,
+/// extras and unknown extensions, as long as its scene is complete: moving it without mirroring and --no-cameras keep
+/// it so, other edits and joining do not.
 ///
-/// Scenes are y-down while they are edited, as in COLMAP and INRIA's .ply, which is how formats that state no frame are
-/// taken; glTF and USD are y-up and are turned on reading and writing. Spherical harmonics turn with whatever is turned.
+/// While being edited, scenes are y-down, as in COLMAP and the .ply of INRIA 3DGS; formats that state no coordinate
+/// frame are taken to be y-down. glTF and USD are y-up and are rotated on reading and writing. Spherical harmonics
+/// rotate with the scene.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, override_usage = USAGE)]
 pub(super) struct Args {
-    /// Scenes to read, told apart by content, and where -o does not name it the file to write, which must be new where several are read; these
-    /// are joined into one, at the highest SH degree among them
+    /// Scenes to read, recognised by content, followed by the file to write unless -o names it
+    ///
+    /// Several scenes are joined into one, at the highest SH degree among them; the last file must then be new.
     #[arg(required = true, num_args = 1.., value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// File to write; all others are read then
+    /// File to write; all other files are then read, and the file may exist
     #[arg(short, long, value_name = "OUTPUT", value_parser = output::path(writable))]
     output: Option<PathBuf>,
-    /// Refuse inputs that cannot be taken over exactly, and outputs that cannot hold all of the scene; what is known of its training
-    /// is no part of it
+    /// Fail if an input cannot be read exactly, or if the output cannot hold the complete scene
+    ///
+    /// The record of the training is not part of the scene.
     #[arg(long)]
     strict: bool,
-    /// Pose a scene that moves as its animations have it at this time; without it, it is taken as it rests. Animations,
-    /// skins, morph targets and bindings end there
+    /// Pose an animated scene at this time; without it, the scene is in its rest pose
+    ///
+    /// The posed scene has no animations, skins, morph targets or bindings.
     #[arg(long, value_name = "SECONDS", value_parser = shared::seconds, allow_hyphen_values = true)]
     time: Option<f64>,
     #[command(flatten)]
     played: AnimationArgs,
-    /// Leave out splats with NaN, infinite numbers, negative scales or rotations of zero, instead of refusing the file (.splat, and .ply that is not
-    /// compressed; no other is read so, which is said)
+    /// Drop splats with NaN, infinite numbers, negative scales or zero rotations, instead of refusing the file
+    ///
+    /// Applies to .splat and to .ply that is not compressed; a note names other inputs, on which it has no effect.
     #[arg(long)]
     drop_invalid: bool,
-    /// Version of .spz: 2 and 3 are for older readers [default: 4]
+    /// Version of .spz to write; 2 and 3 are for older readers [default: 4]
     #[arg(long, value_name = "2..4", value_parser = clap::value_parser!(u8).range(2..=4))]
     spz_version: Option<u8>,
     #[command(flatten)]
@@ -141,7 +148,7 @@ impl Args {
         let format = format_of(output).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
         // Shells may expand `*.ply` so that the last file is an input, which would be overwritten.
         let is_new = self.output.is_some() || inputs.len() == 1 || !output.is_file();
-        ensure!(is_new, "{}: is there already: -o {} replaces it", output.display(), output.display());
+        ensure!(is_new, "{}: exists already: -o {} replaces it", output.display(), output.display());
         Ok(Files { inputs, output, format })
     }
 }
@@ -160,7 +167,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let files = args.files()?;
     usage::demand(
         args.played.animations.is_empty() || args.time.is_some() || files.format == Format::BlendScript,
-        "--animation: only a .blend.py plays it, a glTF takes all over, others are at rest: say --time",
+        "--animation: has no effect on this output without --time: only a .blend.py is animated by it, a glTF keeps all animations, other formats have the rest pose",
     )?;
     usage::demand(
         files.format == Format::Spz || args.spz_version.is_none(),
@@ -303,7 +310,7 @@ fn replaced(args: &Args, Files { inputs, output, .. }: Files<'_>) -> Option<Stri
     let [input] = inputs else { return None };
     let is_alike = input.extension().is_some() && input.extension() == output.extension();
     let is_lost = args.output.is_none() && is_alike && output.is_file() && !output::is_same(input, output);
-    is_lost.then(|| "was there before, and is replaced: of two names the second is written".to_owned())
+    is_lost.then(|| "existed before and is replaced: the last file is the one to write".to_owned())
 }
 
 /// How many times as large as what it was made of a glTF is that is noted: where pictures of a few kilobytes have become maps.
@@ -318,7 +325,7 @@ fn larger(Files { inputs, format, .. }: Files<'_>, edited: &Edited, bytes: u64) 
     let before: u64 = inputs.iter().filter_map(|input| format::stored_bytes(input).ok()).sum();
     (bytes >= LARGER * before.max(1)).then(|| {
         format!(
-            "is {} times as large as what it was made of: pictures have become maps of floats",
+            "is {} times as large as its source: compressed images have become maps of floats",
             bytes / before.max(1)
         )
     })
@@ -330,7 +337,7 @@ fn idle(args: &Args, inputs: &[Input]) -> Option<String> {
     let names: Vec<String> = whole.map(|input| input.file.display().to_string()).collect();
     (!names.is_empty()).then(|| {
         let names = format::some_of(names.iter().map(String::as_str));
-        format!("--drop-invalid has no effect on {names}: it is of .splat, and of .ply that is not compressed")
+        format!("--drop-invalid has no effect on {names}: it applies to .splat, and to .ply that is not compressed")
     })
 }
 
@@ -432,7 +439,7 @@ fn described(o: &Outcome<'_>) -> String {
         lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
     }
     let noted = o.inputs.iter().any(|input| !input.notes.is_empty());
-    let also = if noted && o.loss.to_string() == Loss::default().to_string() { " but what the notes say" } else { "" };
+    let also = if noted && o.loss.to_string() == Loss::default().to_string() { ", except as noted" } else { "" };
     lines.push(format!("lost: {}{also}", o.loss));
     let mut parts = vec![format!("{} of SH degree {}", counted(o.splats, "splat"), o.sh_degree)];
     for (count, what) in [(o.meshes, "mesh(es)"), (o.cameras, "camera(s)")] {

@@ -10,12 +10,12 @@ Examples:
 
 /// List the GPU adapters that can run Centaur, best first
 ///
-/// `--adapter` of the other commands, or `CENTAUR_ADAPTER` in the environment, takes an index (`#1`), a PCI bus id or any part of a name shown
-/// here; without it the first is used.
+/// Other commands use the first, or the one selected by `--adapter` or by the environment variable `CENTAUR_ADAPTER`:
+/// an index (`#1`), a PCI bus id or any part of a name shown here.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Print one JSON array of adapters instead of a table; an empty one, and no error, where there are none
+    /// Print one JSON array of adapters instead of a table; if there are none, an empty array without an error
     #[arg(long)]
     json: bool,
 }

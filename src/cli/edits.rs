@@ -15,50 +15,55 @@ const THIN: &str = "3. Thin out";
 /// Changes to a scene. They are applied in the order of `--help`, whatever the order on the command line.
 #[derive(clap::Args)]
 pub(super) struct EditArgs {
-    /// Rewrite coordinates of one frame in another, mirroring where handedness differs: y-down (colmap), y-up (gltf),
-    /// z-up (blender), unity, unreal, or where x, y, z point in letters, such as RDF for right, down, forward
+    /// Convert coordinates from one frame to another, mirroring the scene if their handedness differs
+    ///
+    /// A frame is y-down (colmap), y-up (gltf), z-up (blender), unity, unreal, or three letters for the directions of
+    /// x, y and z, such as RDF for right, down, forward.
     #[arg(long, value_name = "FROM:TO", value_parser = axes, help_heading = MOVE)]
     axes: Option<DMat3>,
-    /// Scale about the origin
+    /// Scale about the origin by this factor
     #[arg(long, value_name = "S", value_parser = positive, allow_hyphen_values = true, help_heading = MOVE)]
     scale: Option<f64>,
-    /// Turn about the origin: degrees about x, then about y, then about z, right-handed
+    /// Rotate about the origin, by degrees about x, then about y, then about z, right-handed
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true, help_heading = MOVE)]
     rotate: Option<DVec3>,
-    /// Shift
+    /// Translate by this vector
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true, help_heading = MOVE)]
     translate: Option<DVec3>,
 
-    /// Keep what lies in this box: lower corner, upper corner; `inf` and `-inf` leave a side open
+    /// Keep only what lies in this box, given by its lower and upper corner; `inf` and `-inf` leave a side open
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = cuboid, allow_hyphen_values = true, help_heading = CROP)]
     keep_box: Vec<Volume>,
-    /// Keep what lies in this ball: centre, radius
+    /// Keep only what lies in this sphere, given by its centre and radius
     #[arg(long, value_name = "X,Y,Z,R", value_parser = sphere, allow_hyphen_values = true, help_heading = CROP)]
     keep_sphere: Vec<Volume>,
-    /// Remove what lies in this box
+    /// Remove what lies in this box, given by its lower and upper corner
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = cuboid, allow_hyphen_values = true, help_heading = CROP)]
     remove_box: Vec<Volume>,
-    /// Remove what lies in this ball. All four may be repeated: what is left lies in all that keep and in none that remove. A splat lies where
-    /// its mean does, a triangle where its centroid does
+    /// Remove what lies in this sphere, given by its centre and radius
+    ///
+    /// All four crop options may be repeated: the remaining scene lies in all volumes to keep and in none to remove. A
+    /// splat is located at its mean, a triangle at its centroid.
     #[arg(long, value_name = "X,Y,Z,R", value_parser = sphere, allow_hyphen_values = true, help_heading = CROP)]
     remove_sphere: Vec<Volume>,
 
-    /// Remove the meshes, keep the splats
+    /// Remove the meshes and keep the splats
     #[arg(long, help_heading = THIN)]
     no_mesh: bool,
     /// Remove the cameras
     #[arg(long, help_heading = THIN)]
     no_cameras: bool,
-    /// Remove splats of lower opacity
+    /// Remove splats with an opacity below this value
     #[arg(long, value_name = "0..1", value_parser = share, help_heading = THIN)]
     min_opacity: Option<f64>,
-    /// Keep the N splats, or the share N%, with the largest opacity × area of the ellipsoid's largest section
+    /// Keep only the N splats, or the fraction N%, with the largest product of opacity and area of the largest section
+    /// of the ellipsoid
     #[arg(long, value_name = "N|N%", value_parser = amount, help_heading = THIN)]
     decimate: Option<Amount>,
-    /// Drop bands of spherical harmonics above this degree, of splats and maps
+    /// Drop spherical harmonics above this degree, from splats and texture maps
     #[arg(long, value_name = "0..3", value_parser = clap::value_parser!(u32).range(0..=3), help_heading = THIN)]
     sh_degree: Option<u32>,
-    /// Order splats along a Morton curve: neighbours lie together, which compresses and renders better
+    /// Sort splats along a Morton curve, which stores neighbours together, for better compression and faster rendering
     #[arg(long, help_heading = THIN)]
     morton: bool,
 }

@@ -31,23 +31,27 @@ Examples:
 
 /// Score a scene on the held-out photographs of its capture
 ///
-/// Prints PSNR, SSIM, FLIP and with --lpips-weights LPIPS per view and their means, with what the scene costs. Views whose index in the list of file
-/// names is divisible by 8 are held out, unless the capture brings its own split. Give the same --downscale,
-/// --max-side, --images and --masks as in training. Time and memory of the training and its curves stand in scenes that
-/// `centaur train` wrote, and in what `centaur convert` made of them as glTF or USD, whatever it left out.
+/// Prints PSNR, SSIM, FLIP and (with --lpips-weights) LPIPS per view and their means, and the size and cost of the
+/// scene. Held-out views are those whose index in the sorted list of file names is divisible by 8, unless the capture
+/// has its own split. Give the same --downscale, --max-side, --images and --masks as in training.
+///
+/// The time, memory and curves of the training are shown for scenes written by `centaur train`, and for glTF and USD
+/// files that `centaur convert` made from them, whatever it left out.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Scene to score: .glb, .gltf, .usda, .usdc or .usdz, or splats alone in any other format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// Folder with photographs and poses, or a transforms*.json
+    /// Folder with photographs and camera poses, or a transforms*.json
     capture: PathBuf,
-    /// Folder for report.html, metrics.json and a picture per view: photograph | render | error × 4
+    /// Folder for report.html, metrics.json and an image per view: photograph | render | error × 4
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// What is behind the scene, and behind photographs with alpha: files of splats do not say, and those of NeRF-synthetic are trained over white
-    /// as a rule [default: what the scene says, else black]
+    /// Background colour behind the scene, and behind photographs with alpha [default: as stated by the scene, else
+    /// black]
+    ///
+    /// Splat files do not state one; those trained on NeRF-synthetic usually need white.
     #[arg(long, value_enum)]
     background: Option<Backdrop>,
     #[command(flatten)]
@@ -63,8 +67,9 @@ pub(super) struct Args {
 /// The network that scores what eyes would.
 #[derive(clap::Args)]
 pub(super) struct LpipsArgs {
-    /// Also score LPIPS, by the weights of VGG-16 or AlexNet in this file; `python3 datasets-scripts/lpips_weights.py vgg FILE`
-    /// downloads and writes it
+    /// Also score LPIPS, with the weights of VGG-16 or AlexNet in this file
+    ///
+    /// `python3 datasets-scripts/lpips_weights.py vgg FILE` downloads the weights and writes the file.
     #[arg(long, value_name = "FILE.safetensors")]
     lpips_weights: Option<PathBuf>,
 }
@@ -81,7 +86,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let are_swapped = args.capture.is_file() && is_capture(&args.scene);
     usage::demand(
         !are_swapped,
-        format!("{} is a capture, {} is none: expected SCENE CAPTURE", args.scene.display(), args.capture.display()),
+        format!("expected SCENE CAPTURE, found a capture first: {} {}", args.scene.display(), args.capture.display()),
     )?;
     let file = read_file(&args.scene, &ReadOptions::default())?;
     let training = file.record.as_ref().and_then(Record::read);
@@ -141,7 +146,7 @@ fn report_interruption(args: &Args, notes: &[String]) -> Result<()> {
     } else {
         let left = args.output.as_ref().map_or_else(
             || "nothing is scored".to_owned(),
-            |folder| format!("{} has pictures of the views up to here, and no report", folder.display()),
+            |folder| format!("{} has pictures of the views that were scored, but no report", folder.display()),
         );
         output::print(&format!("stopped; {left}"))
     })
@@ -167,7 +172,7 @@ fn saw(training: &Record, trained_on: &[(String, Camera)], capture: &Capture) ->
 fn other_names(trained_on: &[(String, Camera)], capture: &Capture) -> Option<String> {
     let known: HashSet<&str> = trained_on.iter().map(|(name, _)| name.as_str()).collect();
     let is_none = !known.is_empty() && !capture.views.iter().any(|view| known.contains(view.name.as_str()));
-    is_none.then(|| "the scene knows none of the capture's views by name: it may be of other poses, or have seen those that are scored".to_owned())
+    is_none.then(|| "no camera of the scene has the name of a view of the capture: it may have other poses, or have been trained on the views that are scored".to_owned())
 }
 
 /// Note if images differ in size from those on which the scene was trained, if it states them.
@@ -179,7 +184,7 @@ fn other_size(trained_on: &[(String, Camera)], capture: &Capture) -> Option<Stri
     };
     let ((w, h), (width, height)) = capture.views.iter().find_map(pair)?;
     Some(format!(
-        "pictures are {width}×{height}, those that the scene was trained on {w}×{h}: for its scores at that size give the same \
+        "photographs are {width}×{height}, but the scene was trained on {w}×{h}: to score it at that size, give the same \
          --downscale, --max-side or --images"
     ))
 }
@@ -197,7 +202,7 @@ fn other_places(trained_on: &[(String, Camera)], capture: &Capture) -> Option<St
     };
     let elsewhere = pairs.iter().filter(is_elsewhere).count();
     (2 * elsewhere > pairs.len()).then(|| {
-        "the scene has cameras of these names at other places: it was moved, or the capture's poses are others"
+        "cameras of the same names have other poses in the scene: it was moved, or the poses of the capture were changed"
             .to_owned()
     })
 }
@@ -245,7 +250,7 @@ pub(super) fn leftover(folder: &Path, capture: &Capture) -> Option<String> {
     (!left.is_empty()).then(|| {
         let (folder, count) = (folder.display(), output::counted(left.len(), "picture"));
         let names = some_of(left.iter().map(String::as_str));
-        format!("{folder}: has {count} of an earlier report, of views that this one does not score: {names}")
+        format!("{folder}: has {count} of an earlier report, of views that are not scored now: {names}")
     })
 }
 

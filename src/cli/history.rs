@@ -102,7 +102,7 @@ impl Record {
     /// out, or others were, because every eighth view of another list is another one.
     pub(super) fn saw<'a>(&self, known: &HashSet<&str>, scored: impl IntoIterator<Item = &'a str>) -> Option<String> {
         if self.settings.get("split").is_some_and(|split| split == "all") {
-            return Some("the scene was trained on all views, those that are scored among them".to_owned());
+            return Some("the scene was trained on all views, including those that are scored".to_owned());
         }
         let held_out: HashSet<&str> = self.held_out.as_ref()?.iter().map(String::as_str).collect();
         let (mut count, mut seen) = (0, 0);
@@ -111,15 +111,15 @@ impl Record {
             seen += usize::from(known.contains(name) && !held_out.contains(name));
         }
         (seen > 0).then(|| {
-            format!("the scene was trained on {seen} of the {count} views that are scored: the capture lists others than it did, or holds others out")
+            format!("the scene was trained on {seen} of the {count} views that are scored: the capture lists or holds out other views than in training")
         })
     }
 
     /// Note if masks were applied in training or scoring only.
     pub(super) fn other_masks(&self, capture: &Capture) -> Option<String> {
         let trained = self.masks.filter(|masks| *masks != capture.has_masks())?;
-        let (then, now) = if trained { ("with masks", "without") } else { ("without masks", "with") };
-        Some(format!("the scene was trained {then}, and is scored {now}"))
+        let (then, now) = if trained { ("with masks", "without them") } else { ("without masks", "with masks") };
+        Some(format!("the scene was trained {then}, but is scored {now}"))
     }
 
     /// Settings as rows of a table.

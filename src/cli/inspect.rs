@@ -10,13 +10,16 @@ Examples:
   centaur inspect garden.glb
   centaur inspect point_cloud.ply --json";
 
-/// Say what is in a scene file: splats, meshes, maps, cameras, rule of blending, bytes; of a glTF the tree of nodes
+/// Show the content of a scene file: splats, meshes, maps, cameras, blending rule, bytes; for glTF also the tree of
+/// nodes
 ///
-/// Coordinates are y-down, as for the crops of `centaur convert`; glTF and USD have y and z with the other sign.
+/// Coordinates are y-down, as in the crop options of `centaur convert`; in glTF and USD files, y and z have the
+/// opposite sign.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// A .glb, .gltf, .usda, .usdc or .usdz, any .ply, or splats: .spz, .sog (or a SOG folder's meta.json), .splat, .ksplat
+    /// Scene file: .glb, .gltf, .usda, .usdc or .usdz, any .ply, or splats: .spz, .sog (or the meta.json of a SOG
+    /// folder), .splat, .ksplat
     file: PathBuf,
     /// Print one JSON object instead of text
     #[arg(long)]

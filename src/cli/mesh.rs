@@ -25,56 +25,63 @@ Examples:
   centaur mesh captures/mipnerf360/garden --mesh scan.obj --triangles 50000 -o scan.glb
   centaur train captures/mipnerf360/garden --mesh surface.glb -o garden.glb --downscale 4";
 
-/// Make a surface for `centaur train --mesh`: from trained splats, coarsely from a capture's points, or of a mesh of yours
+/// Make a surface for `centaur train --mesh`: from trained splats, from the points of a capture (coarse), or from a
+/// mesh of your own
 ///
-/// Renders the splats' median depth from every view of CAPTURE, fuses the depths into a signed distance, extracts its
-/// zero, cleans, smooths and simplifies it and cuts it into charts with texture coordinates. `centaur train --mesh`
-/// takes the result as it is. Without --mesh `centaur train` makes such a surface by itself, from the training views alone, and besides moves
-/// its vertices, drops triangles that splats explain better, and puts a shell around it.
+/// With SPLATS, the median depth of the splats is rendered from every view of CAPTURE and fused into a signed distance
+/// field; its zero level is extracted, cleaned, smoothed, simplified and cut into charts with texture coordinates.
+/// `centaur train --mesh` uses the result unchanged. Without --mesh, `centaur train` makes such a surface by itself,
+/// from the training views alone; it then also moves its vertices, drops triangles that splats represent better, and
+/// puts a shell around it.
 ///
-/// Without SPLATS, in seconds: the points that structure from motion found in each view are triangulated, triangles
-/// that hide what other views see are dropped, and the rest is fused.
+/// Without SPLATS, the points that structure from motion found in each view are triangulated, triangles that hide what
+/// other views see are dropped, and the rest is fused. This takes seconds.
 ///
-/// With --mesh nothing is fused: vertices at the same place are welded, broken triangles and crumbs dropped, small holes closed, and what is
-/// left is simplified and cut into charts. Of a model rather than a scan, keep windows and small things with --holes off --crumbs off. (`centaur train --mesh` takes any mesh as it is, with its own texture coordinates.)
+/// With --mesh, nothing is fused: vertices at the same place are welded, degenerate triangles and tiny pieces are
+/// dropped, small holes are closed, and the rest is simplified and cut into charts. For a modelled mesh rather than a
+/// scan, --holes off --crumbs off keeps windows and small parts. (`centaur train --mesh` accepts any mesh as it is,
+/// with its own texture coordinates.)
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, allow_missing_positional = true)]
 pub(super) struct Args {
-    /// Trained splats, in any format that `centaur convert` reads; meshes are ignored
+    /// Trained splats, in any format that `centaur convert` reads; meshes in the file are ignored
     #[arg(value_name = "SPLATS")]
     splats: Option<PathBuf>,
-    /// Folder with photographs and poses, or a transforms*.json
+    /// Folder with photographs and camera poses, or a transforms*.json
     capture: PathBuf,
-    /// Take the surface of this file, in the frame of the capture (.glb, .gltf, .obj, .ply), in place of SPLATS; not with --planar
+    /// Use the mesh in this file instead of SPLATS (.glb, .gltf, .obj or .ply, in the frame of the capture); not with
+    /// --planar
     #[arg(long, value_name = "MESH", conflicts_with_all = ["splats", "planar"])]
     mesh: Option<PathBuf>,
-    /// Surface to write
+    /// Surface file to write
     #[arg(short, long, value_name = "SURFACE.glb", value_parser = output::path(|path| output::with_extension(path, &["glb"])))]
     output: PathBuf,
-    /// Triangles to simplify to. More are left of a surface of many pieces or holes, which all stay
+    /// Target number of triangles; more remain if the surface has many pieces or holes, which are all kept
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, value_parser = output::at_least_one)]
     triangles: usize,
-    /// Whether flat regions are found, made flat and meshed anew with few triangles
+    /// Detect flat regions, flatten them and remesh them with few triangles
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto)]
     planar: Choice,
-    /// Of MESH, whether holes of up to 40 edges in a flat surface are closed
+    /// Close holes of up to 40 edges in flat parts of the surface of --mesh
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, requires = "mesh")]
     holes: Choice,
-    /// Of MESH, whether pieces are dropped that have fewer than 50 triangles and less than a hundredth of the largest one's area
+    /// Drop pieces of the surface of --mesh with fewer than 50 triangles and less than 1/100 of the area of the largest
+    /// piece
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, requires = "mesh")]
     crumbs: Choice,
-    /// Side of the atlas in texels for which charts and gutters are laid out
+    /// Side in texels of the atlas for which charts and gutters are laid out
     #[arg(long, value_name = "TEXELS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     texture_size: u32,
-    /// Compare the surface with this one, in the frame of the capture; what no view sees of it does not count
+    /// Ground truth to compare the surface with, in the frame of the capture; parts of it that no view sees do not
+    /// count
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
-    /// Compare only what is no farther than this from what the cameras look at [default: in captures without bounds twice the
-    /// cameras' distance, in others everything]
+    /// Largest distance from the point that the cameras look at, up to which surfaces are compared [default: twice the
+    /// distance of the cameras in unbounded captures, else no limit]
     #[arg(long, value_name = "D", requires = "truth", value_parser = positive)]
     truth_radius: Option<f64>,
-    /// Distance within which points count for precision, recall and F-score [default: 1 % of the diagonal of the truth, or of
-    /// the box about what is compared of it]
+    /// Distance below which points count as correct for precision, recall and F-score [default: 1 % of the diagonal of
+    /// the ground truth, or of the box around the part of it that is compared]
     #[arg(long, value_name = "D", requires = "truth", value_parser = positive)]
     within: Option<f64>,
     #[command(flatten)]
@@ -101,7 +108,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let left = made.steps.simplified;
     if left > args.triangles {
         notes.push(format!(
-            "{}: {left} triangles are left, more than the {} of --triangles: pieces and holes of a surface all stay",
+            "{}: {left} triangles remain, more than the {} of --triangles: all pieces and holes of a surface are kept",
             args.output.display(),
             args.triangles
         ));
@@ -164,7 +171,7 @@ impl Outcome {
         let Self { made, charts, seen, distance, bytes, .. } = self;
         if let Some(distance) = distance {
             output::print(&format!(
-                "to the truth {:.5} on average, from it {:.5}, Chamfer distance {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
+                "mean distance to the ground truth {:.5}, from it {:.5}, Chamfer distance {:.5}; within {:.5}: precision {:.3}, recall {:.3}, F-score {:.3}; views see {:.0} % of it",
                 distance.accuracy,
                 distance.completeness,
                 distance.chamfer,
@@ -206,7 +213,7 @@ impl Made {
             "{} views fused{}; triangles: {} extracted, {} in pieces worth keeping (holes closed: {}), {} not rough\n\
              planes: {}, with {:.0} % of what is not rough: {} triangles, meshed anew with {}",
             steps.views,
-            if steps.contraction.is_some() { " in contracted space, for there are points far away" } else { "" },
+            if steps.contraction.is_some() { " in contracted space, because there are points far away" } else { "" },
             steps.extracted,
             steps.cleaned,
             steps.holes,
@@ -269,7 +276,7 @@ fn from_points(capture: &Capture, args: &Args, notes: &mut Vec<String>) -> Resul
     if guessed > 0 {
         let capture = args.capture.display();
         notes.push(format!(
-            "{capture}: does not say of {guessed} of {views} views which points they see: each was taken for seen where none is nearer"
+            "{capture}: does not list the visible points of {guessed} of {views} views: points that no nearer one hides were taken as visible"
         ));
     }
     Ok(Made { surface, steps: steps.surface, origin })

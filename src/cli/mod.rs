@@ -32,14 +32,15 @@ use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 const FIRST_STEPS: &str = "\
 First steps:
-  centaur devices                                       # is the GPU found?
-  centaur train CAPTURE -o scene.glb --report report    # photographs to scene, with scores
-  centaur render scene.glb -o frames                    # pictures
-  centaur convert scene.glb scene.ply --no-mesh         # splats for other programs
+  centaur devices                                       # list the GPUs that are found
+  centaur train CAPTURE -o scene.glb --report report    # photographs to a scene, with scores
+  centaur render scene.glb -o frames                    # images of the scene
+  centaur convert scene.glb scene.ply --no-mesh         # its splats, for other programs
 
-Exit codes: 0 done, 1 failure (the last line on stderr, which begins with `error:`, says why), 2 wrong usage, 3 jobs of bench that another runner is at, 130 stopped by Ctrl-C (129 and 143 by SIGHUP and SIGTERM; a training has saved a checkpoint or its scene then).";
+Exit codes: 0 success, 1 failure (the last line on stderr begins with `error:` and gives the reason), 2 wrong usage, 3 jobs of `bench` that another runner is still working on, 130 stopped by Ctrl-C (129 by SIGHUP, 143 by SIGTERM; a stopped training has saved a checkpoint or its scene).";
 
-/// Hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in one depth order.
+/// Train, score, render and convert hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in
+/// one depth order.
 #[derive(Parser)]
 #[command(name = "centaur", bin_name = "centaur", version, arg_required_else_help = true, max_term_width = 100)]
 #[command(after_help = FIRST_STEPS)]

@@ -32,51 +32,54 @@ Examples:
   centaur render garden.glb --layers --exr-type half -o layers
   centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
 
-Channels of --layers, all in the scene's own colour space (`colorSpace` in the header), none over
-the background:
-  R G B A                     the picture, premultiplied; A = 1 - what is left of the background
-  splats.R .G .B .A           what splats contribute where meshes hide them
-  mesh.R .G .B .A             what meshes contribute where splats hide them; both sum to R G B A
-  Z, depth.first              depth along the camera's axis: expected, and where alpha passes one
-                              half; 1e10 where none
-  N.X .Y .Z                   unit normal of the nearest mesh layer, towards the camera; y-down as
-                              `centaur inspect` has it: negate Y and Z for the world of glTF and USD
-  count.splats                splats that contribute to the pixel";
+Channels of --layers, in the scene's own colour space (`colorSpace` in the header) and without the
+background:
+  R G B A                     image, premultiplied; A = 1 - visible fraction of the background
+  splats.R .G .B .A           contribution of the splats, as far as meshes do not hide it
+  mesh.R .G .B .A             contribution of the meshes, as far as splats do not hide it; it adds
+                              up to R G B A with that of the splats
+  Z, depth.first              depth along the camera's axis: expected depth, and the depth where
+                              alpha passes one half; 1e10 if there is none
+  N.X .Y .Z                   unit normal of the nearest mesh layer, facing the camera; y-down as in
+                              `centaur inspect`: negate Y and Z for the world of glTF and USD
+  count.splats                number of splats that contribute to the pixel";
 
-/// Render a scene from given cameras, or where it has none from all around
+/// Render a scene from given cameras or, if it has none, from all around
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Scene to render: .glb, .gltf, .usda, .usdc or .usdz, or splats alone in any other format that `centaur convert` reads
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// `embedded` (cameras in the scene's file), or a file or folder that has some
+    /// Cameras to render from: `embedded` (those in the scene file), or a file or folder with cameras
     ///
-    /// A scene without cameras is seen from 8 places in a ring about it, `view_0` to `view_7`, in pictures of 1024×768, as `centaur cameras
-    /// orbit` goes around it.
+    /// A folder is a capture or a COLMAP model. A file is nerfstudio's `transforms*.json` or `camera_path.json`, or a
+    /// .glb, .gltf, .usda, .usdc or .usdz, whose moving cameras (animated themselves, or attached to something
+    /// animated) are rendered frame by frame. Photographs are not needed if the size of images is stated. `centaur
+    /// cameras` makes such files.
     ///
-    /// A capture or COLMAP model (folder), nerfstudio's `transforms*.json` or `camera_path.json`; photographs are not needed
-    /// where the size of images is stated. Or a .glb, .gltf, .usda, .usdc or .usdz: cameras that are animated, by themselves or by
-    /// what they hang on, are rendered frame by frame. `centaur cameras` makes such files.
+    /// A scene without cameras is rendered from 8 places in a ring around it, `view_0` to `view_7`, in images of
+    /// 1024×768, as by `centaur cameras orbit`.
     #[arg(long, value_name = "embedded|PATH", default_value = "embedded")]
     cameras: PathBuf,
     #[command(flatten)]
     sampling: SamplingArgs,
-    /// What a glTF scene that moves is rendered at: a time, or all frames of a span from a camera that keeps still
+    /// Time at which an animated glTF scene is rendered, or a range of times, of which a single still camera renders
+    /// all frames
     ///
-    /// Without it, the frames of a camera that moves show the scene as its animations have it at their times, and other pictures
-    /// show it as it rests.
+    /// Without it, frames of a moving camera show the scene as animated at their own times, and other images show its
+    /// rest pose.
     #[arg(long, value_name = "SECONDS|START..END", value_parser = When::parse, allow_hyphen_values = true)]
     time: Option<When>,
     #[command(flatten)]
     played: AnimationArgs,
-    /// Folder for the pictures, named after the cameras
+    /// Folder for the images, which are named after the cameras
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Kind of picture [default: png, with --layers exr]
+    /// Format of the images [default: png, with --layers exr]
     #[arg(long, value_enum)]
     format: Option<Format>,
-    /// Make a film of the PNG pictures, in order, by the `ffmpeg` on PATH: H.264, 4:2:0
+    /// Also encode the PNG images, in order, as a video (H.264, 4:2:0), using the `ffmpeg` on PATH
     #[arg(long, value_name = "FILE.mp4", value_parser = output::path(|path| output::with_extension(path, &["mp4"])))]
     video: Option<PathBuf>,
     #[command(flatten)]
@@ -93,29 +96,29 @@ pub(super) struct Args {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Picture")]
 struct LookArgs {
-    /// What a Gaussian looks like
+    /// Image model: how Gaussians are projected and ordered
     #[arg(long, value_enum, default_value_t = Model::Ewa)]
     model: Model,
-    /// Direction at which `--model ray` evaluates a splat's colour
+    /// View direction for which `--model ray` evaluates the colour of a splat
     #[arg(long, value_enum, value_name = "mean|ray", default_value_t = Direction::Mean)]
     sh_direction: Direction,
-    /// Write EXR files with splats, meshes, depth and normals in channels of their own
+    /// Write EXR files with splats, meshes, depth and normals in separate channels (listed below)
     #[arg(long)]
     layers: bool,
-    /// Leave the background out: PNG with straight alpha, EXR premultiplied
+    /// Leave out the background: PNG with straight alpha, EXR with premultiplied alpha
     ///
-    /// A PNG laid over a colour as browsers do gives the picture over that colour, up to rounding, where the scene blends in
-    /// sRGB, as a rule. Only highlights that are brighter than their alpha, as PNG cannot have them, cover as much as they are
-    /// bright. Layers have alpha anyway.
+    /// Where the scene blends in sRGB, as is usual, a PNG composited over a colour in the way of browsers matches the
+    /// image rendered over that colour, up to rounding. Only highlights brighter than their alpha, which PNG cannot
+    /// store, get an alpha as high as their brightness. With --layers, images have alpha anyway.
     #[arg(long, conflicts_with_all = ["layers", "video"])]
     alpha: bool,
-    /// What is behind the scene [default: what its file says, else black]
+    /// Background colour behind the scene [default: as stated by its file, else black]
     #[arg(long, value_enum, conflicts_with_all = ["layers", "alpha"])]
     background: Option<Backdrop>,
-    /// Samples of EXR files; depths and counts are 32 bits in either [default: float]
+    /// Sample type of EXR files; depths and counts always have 32 bits [default: float]
     #[arg(long, value_enum)]
     exr_type: Option<ExrType>,
-    /// Compression of EXR files; both are lossless [default: zip]
+    /// Compression of EXR files, lossless in either case [default: zip]
     #[arg(long, value_enum)]
     exr_compression: Option<Compression>,
 }
@@ -130,17 +133,18 @@ enum Format {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Model {
-    /// 3DGS rasterisation, which training uses: projections linearised at the means, ordered by these
+    /// Rasterisation of 3DGS, as in training: projections linearised at the means and ordered by the depths of the
+    /// means
     Ewa,
-    /// The largest value along each pixel's ray, in exact order: what ray tracers do
+    /// Largest value along the ray of each pixel, in exact order, as in ray tracers
     Ray,
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Direction {
-    /// From the camera to the mean, as in training
+    /// From the camera to the mean of the splat, as in training
     Mean,
-    /// Of the pixel's ray
+    /// Along the ray of the pixel
     Ray,
 }
 
@@ -154,9 +158,9 @@ enum ExrType {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum Compression {
-    /// Read by every program
+    /// Supported by every program
     Zip,
-    /// Smaller where pictures are noisy
+    /// Smaller for noisy images
     Piz,
 }
 
@@ -184,23 +188,23 @@ impl Args {
         let (look, is_exr) = (&self.look, self.format == Some(Format::Exr));
         usage::demand(
             !(look.layers && self.format == Some(Format::Png)),
-            "--layers writes EXR files: leave --format png away",
+            "--layers writes EXR files: omit --format png",
         )?;
         usage::demand(
             !(self.is_embedded() && self.loading.images.is_some()),
-            "--images is of photographs: say --cameras CAPTURE, or leave it away",
+            "--images applies to photographs: give --cameras CAPTURE, or omit --images",
         )?;
         usage::demand(
             look.model == Model::Ray || look.sh_direction == Direction::Mean,
-            "--sh-direction ray needs --model ray: projected splats have one colour each",
+            "--sh-direction ray needs --model ray: with --model ewa, every splat has one colour",
         )?;
         usage::demand(
             self.video.is_none() || !(look.layers || is_exr),
-            "--video is made of PNG pictures: leave --format exr and --layers away",
+            "--video is made of PNG images: omit --format exr and --layers",
         )?;
         usage::demand(
             look.layers || is_exr || (look.exr_type.is_none() && look.exr_compression.is_none()),
-            "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
+            "--exr-type and --exr-compression apply to EXR files: give --format exr or --layers",
         )
     }
 
@@ -222,7 +226,7 @@ impl Args {
             *near = near.min(0.1 * radius as f32).max(f32::MIN_POSITIVE);
         }
         shot.notes.push(format!(
-            "holds no cameras: seen from {} around it; --cameras takes those of another file, `centaur cameras orbit` makes a path",
+            "has no cameras: rendered from {} around it; --cameras takes cameras of another file, `centaur cameras orbit` makes a path",
             output::counted(shot.cameras.len(), "place")
         ));
         Ok(shot)
@@ -242,9 +246,11 @@ impl Args {
         };
         if shot.y_up != file.y_up {
             let (theirs, scenes) =
-                if file.y_up { ("the frame of captures", "y up") } else { ("y up", "in the frame of captures") };
-            shot.notes
-                .push(format!("taken to be in {theirs}: turned half about x, as {} is {scenes}", self.scene.display()));
+                if file.y_up { ("y down, as in captures", "y up") } else { ("y up", "y down, as in captures") };
+            shot.notes.push(format!(
+                "cameras taken to be {theirs}: rotated by 180° about x, because {} is {scenes}",
+                self.scene.display()
+            ));
         }
         // Where the scene has been read to.
         shot = shot.in_frame(false);
@@ -252,7 +258,7 @@ impl Args {
         if let Some(When::Span(start, end)) = self.time {
             let document = moving.with_context(|| {
                 let scene = self.scene.display();
-                format!("{scene}: --time START..END: expected a scene that moves, found one that rests")
+                format!("{scene}: --time START..END: expected an animated scene, found one without animation")
             })?;
             let fps = sampling.fps.or(shot.fps).or(document.fps()).unwrap_or(DEFAULT_FPS);
             shot = span(shot, [start, end], fps)?;
@@ -260,7 +266,7 @@ impl Args {
         if moving.is_some() && self.time.is_none() && shot.times.is_empty() {
             let idle = [("--fps", sampling.fps.is_some()), ("--animation", !self.played.animations.is_empty())];
             shot.notes.extend(idle.into_iter().filter(|(_, is_said)| *is_said).map(|(flag, _)| {
-                format!("its cameras are no frames of a path: {flag} gives them no times, and the scene is shown as it rests")
+                format!("its cameras are not frames of a path and have no times: {flag} has no effect, and the scene is shown in its rest pose")
             }));
         }
         let times = shot.times.first().zip(shot.times.last());
@@ -358,7 +364,7 @@ fn report_interruption(drawn: &[PathBuf], all: usize, args: &Args) -> Result<()>
     } else {
         let (folder, count) = (args.output.display(), drawn.len());
         output::print(&format!(
-            "stopped; {folder}: {count} of {all} pictures, and what others of these were there before"
+            "stopped; {folder}: {count} of {all} pictures are new, others may be of an earlier render"
         ))
     })
 }
@@ -426,9 +432,9 @@ impl When {
 fn span(shot: CameraFile, [start, end]: [f64; 2], fps: f64) -> Result<CameraFile> {
     // A single camera is static, even if it is a frame of a path and has a time.
     let [(_, camera)] = &shot.cameras[..] else {
-        let what = if shot.times.is_empty() { "cameras" } else { "frames of one that moves" };
+        let what = if shot.times.is_empty() { "cameras" } else { "frames of a moving one" };
         bail!(
-            "--time START..END: expected one camera that keeps still, found {} {what}; --camera says which",
+            "--time START..END: expected one still camera, found {} {what}; --camera selects one",
             shot.cameras.len()
         );
     };

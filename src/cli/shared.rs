@@ -16,7 +16,7 @@ use centaur::scene::{Camera, Intrinsics};
 /// A step that finds out by itself where there is something for it to do.
 #[derive(Clone, Copy, clap::ValueEnum)]
 pub(super) enum Choice {
-    /// Where there is something to do
+    /// Wherever it applies
     Auto,
     /// Never
     Off,
@@ -51,9 +51,11 @@ impl Backdrop {
 pub(super) struct CaptureArgs {
     #[command(flatten)]
     pub(super) pictures: PictureArgs,
-    /// Use only what masks leave white (in images of labels: the one level besides black). Of images/IMG.jpg that is masks/IMG.jpg.png,
-    /// masks/IMG.png or masks/IMG.jpg, or the `mask_path` (VHAP: `fg_mask_path`) of a transforms.json. With a masks/ folder, or where one photograph has a mask, all
-    /// need one. Scores multiply photograph and render by the mask
+    /// Use only the white parts of masks, one for each photograph (in label images: the one level other than black)
+    ///
+    /// The mask of images/IMG.jpg is masks/IMG.jpg.png, masks/IMG.png or masks/IMG.jpg, or the `mask_path` (VHAP:
+    /// `fg_mask_path`) of a transforms.json. If there is a masks/ folder, or if one photograph has a mask, all need
+    /// one. For scores, photograph and render are multiplied by the mask.
     #[arg(long)]
     pub(super) masks: bool,
 }
@@ -73,7 +75,7 @@ impl CaptureArgs {
     pub(super) fn idle_masks(&self, capture: &Path) -> Option<String> {
         let folder = if capture.is_dir() { capture } else { folder_of(capture) };
         let masks = folder.join("masks");
-        (!self.masks && masks.is_dir()).then(|| format!("{} is there: --masks uses it", masks.display()))
+        (!self.masks && masks.is_dir()).then(|| format!("{} exists but is not used: --masks uses it", masks.display()))
     }
 }
 
@@ -81,15 +83,16 @@ impl CaptureArgs {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Capture")]
 pub(super) struct PictureArgs {
-    /// Divide both sides of the photographs, or of what is rendered, by this, 1 to 64 (bicubic, antialiased); not with --max-side
+    /// Divide both sides of photographs, or of rendered images, by N, from 1 to 64 (bicubic, antialiased); not with
+    /// --max-side
     ///
-    /// Mip-NeRF 360 tables use 4 outdoors and 2 indoors.
+    /// Published tables of Mip-NeRF 360 use 4 outdoors and 2 indoors.
     #[arg(long, value_name = "N", conflicts_with = "max_side", value_parser = clap::value_parser!(u32).range(1..=64))]
     downscale: Option<u32>,
-    /// Shrink photographs, or what is rendered, whose longer side has more pixels than this, 16 or more
+    /// Shrink photographs, or rendered images, whose longer side has more than this number of pixels (at least 16)
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=i64::from(Intrinsics::MAX_PICTURE_SIDE)))]
     max_side: Option<u32>,
-    /// Folder with the images, relative to the capture, such as `images_4` [default: images]
+    /// Folder with the photographs, relative to the capture, such as `images_4` [default: images]
     #[arg(long, value_name = "FOLDER")]
     pub(super) images: Option<String>,
 }
@@ -129,11 +132,13 @@ impl PictureArgs {
 /// Which cameras of a file are used.
 #[derive(clap::Args)]
 pub(super) struct SamplingArgs {
-    /// Only the camera of this name (or number, from 0); may be said several times [default: those that move, else all]
+    /// Use only the camera with this name (or number, from 0); may be given several times [default: moving cameras,
+    /// else all]
     #[arg(long, value_name = "NAME")]
     camera: Vec<String>,
-    /// Frames a second, of cameras that move and of films. Stills, such as a capture's photographs, get no times by it [default: what the
-    /// file states, else 30]
+    /// Frames per second of moving cameras and of videos [default: as stated by the file, else 30]
+    ///
+    /// Still images, such as the photographs of a capture, get no times from it.
     #[arg(long, value_name = "N", value_parser = frame_rate)]
     fps: Option<f64>,
 }
@@ -147,7 +152,8 @@ impl SamplingArgs {
 /// What of a scene that moves is played.
 #[derive(clap::Args)]
 pub(super) struct AnimationArgs {
-    /// Only the animation of this name (or number, from 0) of a glTF; may be said several times [default: all, played together]
+    /// Play only the glTF animation with this name (or number, from 0); may be given several times [default: all,
+    /// played together]
     #[arg(long = "animation", value_name = "NAME")]
     pub(super) animations: Vec<String>,
 }
@@ -166,7 +172,9 @@ pub(super) fn frame_rate(text: &str) -> Result<f64, String> {
 
 /// What there is to say, beside a capture, of a scene that `read_file` has turned into its frame.
 pub(super) fn turned(y_up: bool) -> Option<String> {
-    y_up.then(|| "is y up, as glTF and USD are: turned half about x into the frame of captures".to_owned())
+    y_up.then(|| {
+        "is y up, as usual for glTF and USD: rotated by 180° about x into the frame of captures (y down)".to_owned()
+    })
 }
 
 /// Reads cameras of a capture (a folder or `.json`), or of a glTF or USD file.
@@ -229,18 +237,20 @@ pub(super) fn passed_over(others: &[PathBuf]) -> Vec<String> {
     let of_models = (!models.is_empty()).then(|| {
         let names: Vec<String> = models.into_iter().map(name_of).collect();
         let names = format::some_of(names.iter().map(String::as_str));
-        format!("has further COLMAP models, {names}, of other photographs: 0 is taken, rename the one that you want to 0 to take it")
+        format!(
+            "has further COLMAP models of other photographs ({names}): model 0 is used; to use another, rename it to 0"
+        )
     });
     let of_files = files.first().map(|&first| {
         let (name, one) = (name_of(first), first.with_file_name("transforms.json"));
         let taken = if *first != one && one.is_file() { "transforms.json" } else { "a COLMAP model" };
         // One of the two files is no split.
         let advice = if name == "transforms_train.json" && files.len() > 1 {
-            "move the former away to take the split"
+            "to use the split, move the former away"
         } else {
-            "name that file in place of the folder to take it"
+            "to use that file, give it instead of the folder"
         };
-        format!("has {taken}, which is taken, and {name}: {advice}")
+        format!("has {taken}, which is used, and {name}, which is not: {advice}")
     });
     of_models.into_iter().chain(of_files).collect()
 }
@@ -309,10 +319,10 @@ fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions)
 #[derive(clap::Args)]
 #[command(next_help_heading = "Messages")]
 pub(super) struct MessageArgs {
-    /// No progress: no bar, and no lines of JSON on stderr
+    /// Show no progress: no bar, and no JSON lines on stderr
     #[arg(short, long)]
     pub(super) quiet: bool,
-    /// Print one JSON object on stdout at the end; progress, where there is any, becomes JSON lines on stderr
+    /// Print one JSON object on stdout at the end; any progress becomes JSON lines on stderr
     #[arg(long)]
     pub(super) json: bool,
 }
@@ -320,7 +330,8 @@ pub(super) struct MessageArgs {
 /// Where it runs.
 #[derive(clap::Args)]
 pub(super) struct AdapterArgs {
-    /// GPU adapter: any part of a name, an index such as `#1`, or a PCI bus id, as `centaur devices` lists them [default: the first]
+    /// GPU adapter to use: any part of a name, an index such as `#1`, or a PCI bus id, as listed by `centaur devices`
+    /// [default: the first]
     #[arg(long, value_name = "NAME", env = "CENTAUR_ADAPTER")]
     adapter: Option<String>,
 }

@@ -36,13 +36,17 @@ pub(super) fn run(args: &Args) -> Result<()> {
     told.extend(of_mesh);
     let aside = set_aside(args)?;
     told.extend(aside.iter().map(|aside| {
-        format!("{}: was left by another run and is now {}", args.checkpoint().display(), aside.path().display())
+        format!(
+            "{}: was left by another run, and was renamed to {}",
+            args.checkpoint().display(),
+            aside.path().display()
+        )
     }));
     told.extend(args.report.as_deref().and_then(|folder| eval::leftover(folder, &capture)));
     let had_scene = args.output.exists();
     // What goes on may have written it itself, before its scores.
     if had_scene && !args.resume {
-        told.push(format!("{}: is there, and is replaced when this training is done", args.output.display()));
+        told.push(format!("{}: exists, and will be replaced when this training is done", args.output.display()));
     }
     tell(&told, args);
     let trained = train(args, (&capture, mesh, &options), &gpu, &stop, aside)?;
@@ -50,7 +54,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let checkpoint = args.checkpoint();
         let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
         if had_scene {
-            let earlier = format!("{}: is still that of an earlier run", args.output.display());
+            let earlier = format!("{}: is still the scene of an earlier run", args.output.display());
             tell(std::slice::from_ref(&earlier), args);
             told.push(earlier);
         }
@@ -118,7 +122,7 @@ fn train(
         // Checkpoints of other runs have been set aside.
         let has_saved = checkpoint.exists();
         if aside.is_some_and(|aside| aside.back().is_ok_and(|is_back| is_back)) {
-            output::note(&format!("{}: is back, since this run left none", checkpoint.display()));
+            output::note(&format!("{}: is restored, because this run saved no checkpoint", checkpoint.display()));
         }
         notes::with_advice(error, args, has_saved)
     })
@@ -174,7 +178,10 @@ fn write(args: &Args, capture: &Capture, trained: &Trained, record: &Record) -> 
     all().inspect_err(|_| {
         let checkpoint = args.checkpoint();
         if checkpoint.exists() {
-            output::note(&format!("{}: is kept; the same command with --resume goes on from it", checkpoint.display()));
+            output::note(&format!(
+                "{}: is kept; the same command with --resume continues from it",
+                checkpoint.display()
+            ));
         }
     })
 }

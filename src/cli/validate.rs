@@ -10,16 +10,17 @@ Examples:
   centaur validate garden.glb
   centaur validate point_cloud.ply --json
 
-Exit code 1 if there is an error; warnings alone leave it at 0.";
+The exit code is 1 if there are errors; it is 0 if there are only warnings.";
 
-/// Say everything that is wrong with a scene file: structure, values, rules of the splat extensions
+/// List every fault of a scene file: structure, values, rules of the splat extensions
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// A .glb, .gltf, .ply or .spz; a .usda, .usdc or .usdz, whose arrays, extents and maps are looked at; of other files
-    /// that `centaur convert` reads, whether they can be read
+    /// Scene file: .glb, .gltf, .ply, .spz, .usda, .usdc or .usdz, or any other file that `centaur convert` reads
+    ///
+    /// Of USD files, the arrays, extents and maps are checked; of other files, whether they can be read.
     file: PathBuf,
-    /// Print one JSON object: severity, code, location (JSON pointer or byte), expected and found of each finding
+    /// Print one JSON object, with severity, code, location (JSON pointer or byte), expected and found for each finding
     #[arg(long)]
     json: bool,
 }

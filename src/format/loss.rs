@@ -109,7 +109,7 @@ impl fmt::Display for Loss {
             parts.push(format!("{} camera(s)", self.cameras));
         }
         if self.composition {
-            parts.push("the rule of blending".to_owned());
+            parts.push("the blending rule".to_owned());
         }
         if !self.attributes.is_empty() {
             parts.push(format!("the attributes {}", self.attributes.join(", ")));
@@ -265,7 +265,7 @@ mod tests {
         };
         assert_eq!(
             loss.to_string(),
-            "2 mesh(es); 1 camera(s); the rule of blending; the attributes label, time; the record of the training; 2 animations; SH bands above degree 0 of 3; \
+            "2 mesh(es); 1 camera(s); the blending rule; the attributes label, time; the record of the training; 2 animations; SH bands above degree 0 of 3; \
              largest errors: position 1.20e-4 units, rotation 5.00e-1°"
         );
         assert!(!loss.is_none());

@@ -118,14 +118,14 @@ impl Soup {
         } else if given < all {
             format!("{} of {all} triangles have none", all - given)
         } else if usable < all {
-            format!("those of {} of {all} triangles are not finite or not there", all - usable)
+            format!("those of {} of {all} triangles are missing or not finite", all - usable)
         } else if materials > 1 {
-            format!("they are of {materials} materials")
+            format!("they belong to {materials} materials")
         } else {
             let note = scale_into_square(uvs.as_flattened_mut());
             return (Some(uvs), note);
         };
-        (None, Some(format!("its UVs are not kept, it is unwrapped anew: {why_not}")))
+        (None, Some(format!("its UVs are not kept, new ones are made: {why_not}")))
     }
 
     fn finish(self) -> Result<ImportedMesh, Fault> {
@@ -180,7 +180,7 @@ fn scale_into_square(uvs: &mut [Vec2]) -> Option<String> {
     }
     let extent = (high - low).max_element();
     uvs.iter_mut().for_each(|uv| *uv = ((uv.as_dvec2() - low) / extent).as_vec2());
-    Some(format!("its UVs leave 0..1: they are scaled into it, by 1/{:?}", extent as f32))
+    Some(format!("its UVs leave 0..1 and are scaled into that range, by 1/{:?}", extent as f32))
 }
 
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
@@ -340,7 +340,7 @@ mod tests {
         // v = 3 is −2 downwards: of −2..1, 3 long, the top; u keeps its proportion.
         let expected = [Vec2::new(0.0, 1.0), Vec2::new(1.0 / 3.0, 1.0), Vec2::new(1.0 / 3.0, 0.0)];
         assert_eq!(mesh.corner_uvs.unwrap()[0], expected);
-        assert_eq!(mesh.notes, ["its UVs leave 0..1: they are scaled into it, by 1/3.0"]);
+        assert_eq!(mesh.notes, ["its UVs leave 0..1 and are scaled into that range, by 1/3.0"]);
         let widest = QUAD_OBJ.replace("vt 1 1", "vt 3e38 -3e38");
         let uvs = obj::parse(widest.as_bytes()).and_then(Soup::finish).unwrap().corner_uvs.unwrap();
         assert!(uvs.as_flattened().iter().all(|uv| uv.min_element() >= 0.0 && uv.max_element() <= 1.0), "{uvs:?}");
@@ -352,14 +352,14 @@ mod tests {
             let mesh = soup.and_then(Soup::finish).unwrap();
             assert_eq!(mesh.corner_uvs, None);
             let [note] = &mesh.notes[..] else { panic!("{:?}", mesh.notes) };
-            note.strip_prefix("its UVs are not kept, it is unwrapped anew: ").unwrap().to_owned()
+            note.strip_prefix("its UVs are not kept, new ones are made: ").unwrap().to_owned()
         };
         let noted_obj = |text: &str| noted(obj::parse(text.as_bytes()));
         let face = "f 1/1 2/2 3/3 4/4\n";
         let two = QUAD_OBJ.replace(face, &format!("usemtl a\n{face}usemtl b\n{face}"));
-        assert_eq!(noted_obj(&two), "they are of 2 materials");
+        assert_eq!(noted_obj(&two), "they belong to 2 materials");
         assert_eq!(noted_obj(&format!("{QUAD_OBJ}f 1 2 3\n")), "1 of 3 triangles have none");
-        let lost = "those of 1 of 2 triangles are not finite or not there";
+        let lost = "those of 1 of 2 triangles are missing or not finite";
         assert_eq!(noted_obj(&QUAD_OBJ.replace("4/4", "4/5")), lost);
         assert_eq!(noted_obj(&QUAD_OBJ.replace("vt 0 0.75", "vt nan 0")), lost);
         assert_eq!(noted(from_ply(QUAD_PLY.replace("0 0.75", "0 nan").as_bytes())), lost);
@@ -380,7 +380,7 @@ mod tests {
         assert!(read(0).corner_uvs.is_some());
         assert!(read(-1).corner_uvs.is_none(), "a face without a texture has no place on that of another");
         let two = read(1);
-        assert!(two.corner_uvs.is_none() && two.notes[0].contains("they are of 2 materials"), "{:?}", two.notes);
+        assert!(two.corner_uvs.is_none() && two.notes[0].contains("they belong to 2 materials"), "{:?}", two.notes);
     }
 
     #[test]

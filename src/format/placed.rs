@@ -19,7 +19,7 @@ pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Res
     if placement::place(splats, all, transform) {
         return Ok(());
     }
-    Err(Fault::pointer(at, "a transform with an inverse above splats", "one without"))
+    Err(Fault::pointer(at, "an invertible transform above splats", "one without"))
 }
 
 /// Joins parts into one set of splats, at the highest SH degree among them. Each part comes with its origin: a JSON

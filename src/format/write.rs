@@ -124,7 +124,7 @@ fn write_blend_script(
     report.notes.extend(moving.and_then(|(moving, _)| moving.overruled()));
     report.notes.extend(broken.map(|fault| {
         let (location, expected, found) = fault.into_parts();
-        format!("all keeps still, as an animation is malformed: {location}expected {expected}, found {found}")
+        format!("nothing is animated, because an animation is malformed: {location}expected {expected}, found {found}")
     }));
     Ok(exported(report, options.source.filter(|_| moving.is_none())))
 }

@@ -151,7 +151,7 @@ impl Checkpoint {
         let header: Value = serde_json::from_str(header).map_err(|e| SceneError::new(HEADER, "JSON", e.to_string()))?;
         let version = header.get("version").unwrap_or(&Value::Null);
         if version.as_u64() != Some(u64::from(VERSION)) {
-            let found = format!("{version}: only the Centaur that wrote it can go on from it");
+            let found = format!("{version}: only the version of Centaur that wrote it can continue from it");
             return Err(SceneError::new("version", VERSION.to_string(), found));
         }
         check_sum(bytes)?;

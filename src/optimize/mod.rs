@@ -70,11 +70,11 @@ pub enum TrainError {
         found: usize,
     },
     /// Poses were to be refined beside a given mesh.
-    #[error("poses are refined by splats before there is a mesh: expected none to be given, found one")]
+    #[error("poses are refined by splats before there is a mesh: expected no given mesh, found one")]
     PosesBesideMesh,
     /// No training view sees the given mesh.
     #[error(
-        "expected a mesh that training views see, found none of it in any: is it in the frame and the unit of the poses?"
+        "expected a mesh that training views see, found none of it in any view: is it in the frame and unit of the camera poses?"
     )]
     UnseenMesh,
     /// The budget has no room for the mesh and a splat.

@@ -218,7 +218,9 @@ impl Identity<'_> {
         // The mesh first, since it decides whether there is a warm-up, and how long.
         let (had, has) = (&input.mesh, &self.input.mesh);
         if had != has {
-            return Err(format!("expected a checkpoint of a run with the same mesh, but that was {had} and is {has}"));
+            return Err(format!(
+                "expected a checkpoint of a run with the same mesh, but it was {had} and is now {has}"
+            ));
         }
         if let Some(change) = changed_option(&field(file, "options")?, self.options) {
             return Err(format!("expected a checkpoint of a run with the same options, but {change}"));
@@ -247,5 +249,5 @@ fn first_change(before: &TrainOptions, now: &TrainOptions) -> Option<String> {
     };
     let (before, now) = (fields(before)?, fields(now)?);
     let (name, value) = before.iter().find(|(name, value)| now.get(*name) != Some(value))?;
-    Some(format!("{} was {value} and is {}", name.replace('_', " "), now.get(name).unwrap_or(&Value::Null)))
+    Some(format!("{} was {value} and is now {}", name.replace('_', " "), now.get(name).unwrap_or(&Value::Null)))
 }

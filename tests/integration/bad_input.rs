@@ -218,7 +218,7 @@ fn what_is_given_in_place_of_another_is_recognised() {
         assert!(line.starts_with(&format!("error: {file}: ")) && line.contains(said), "{args}: {line}");
     }
     let line = common::wrong_usage(folder.path(), centaur(folder.path()).args(["eval", "capture", "s.ply"]));
-    assert_eq!(line, "error: capture is a capture, s.ply is none: expected SCENE CAPTURE");
+    assert_eq!(line, "error: expected SCENE CAPTURE, found a capture first: capture s.ply");
 }
 
 #[test]
@@ -279,7 +279,7 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
     for file in ["cameras.txt", "images.txt"] {
         std::fs::copy(sparse.join("0").join(file), sparse.join("1").join(file)).unwrap();
     }
-    let note = "note: capture: has further COLMAP models, 1, of other photographs: 0 is taken, rename the one that you want to 0 to take it\n";
+    let note = "note: capture: has further COLMAP models of other photographs (1): model 0 is used; to use another, rename it to 0\n";
     assert!(notes().starts_with(note), "{}", notes());
     std::fs::remove_dir_all(sparse.join("1")).unwrap();
     // Beside the model, a file of two of them that looks the other way.
@@ -290,13 +290,13 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
     };
     let json = format!(r#"{{"fl_x":32,"frames":[{},{}]}}"#, frame(0), frame(1));
     std::fs::write(folder.path().join("capture/transforms.json"), json).unwrap();
-    let note = "note: capture: has a COLMAP model, which is taken, and transforms.json: name that file in place of the folder to take it\n";
+    let note = "note: capture: has a COLMAP model, which is used, and transforms.json, which is not: to use that file, give it instead of the folder\n";
     assert!(notes().starts_with(note), "{}", notes());
     for part in ["train", "test"] {
         std::fs::write(folder.path().join(format!("capture/transforms_{part}.json")), "{}").unwrap();
     }
     std::fs::rename(folder.path().join("capture/transforms.json"), folder.path().join("t.json")).unwrap();
-    let note = "note: capture: has a COLMAP model, which is taken, and transforms_train.json: move the former away to take the split\n";
+    let note = "note: capture: has a COLMAP model, which is used, and transforms_train.json, which is not: to use the split, move the former away\n";
     assert!(notes().starts_with(note), "{}", notes());
     std::fs::rename(folder.path().join("t.json"), folder.path().join("capture/transforms.json")).unwrap();
     let more = ["--no-mesh", "--max-splats", "500", "--all-views", "--iterations", "2"];
@@ -338,10 +338,10 @@ fn meshes_that_no_view_sees_are_refused() {
     std::fs::write(folder.path().join("mesh.obj"), "v 0 100 0\nv 1 100 0\nv 0 101 0\nf 1 2 3\n").unwrap();
     let before = common::tree(folder.path());
     let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
-    let ask = "is it in the frame and the unit of the poses?";
+    let ask = "is it in the frame and unit of the camera poses?";
     let expected = format!(
-        "note: mesh.obj: lies at hardly any of the capture's points: {ask}\n\
-         error: mesh.obj: expected a mesh that training views see, found none of it in any: {ask}\n"
+        "note: mesh.obj: is near hardly any of the points of the capture: {ask}\n\
+         error: mesh.obj: expected a mesh that training views see, found none of it in any view: {ask}\n"
     );
     assert_eq!((output.status.code(), stderr(&output)), (Some(1), expected));
     assert_eq!(common::tree(folder.path()), before);
@@ -361,8 +361,7 @@ fn meshes_in_another_unit_than_the_poses_are_noted() {
         stderr(&output)
     };
     assert_eq!([1.0, 0.5].map(mesh), ["", ""]);
-    let note =
-        "note: mesh.obj: lies at hardly any of the capture's points: is it in the frame and the unit of the poses?\n";
+    let note = "note: mesh.obj: is near hardly any of the points of the capture: is it in the frame and unit of the camera poses?\n";
     assert_eq!(mesh(100.0), note);
 }
 
@@ -423,8 +422,8 @@ fn captures_that_name_no_points_start_from_random_splats_and_say_so() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let note = "capture: has no points: splats begin at random places that its cameras look at";
     // The world is that of OpenGL.
-    let lies = "capture: has views for which +y is up: what shows glTF with +y up shows the scene upside down; centaur convert scene.glb OUT.glb \
-                --axes y-up:y-down writes one that stands";
+    let lies = "capture: was taken with +y up: glTF viewers, which have +y up, will show the scene upside down; centaur convert scene.glb OUT.glb \
+                --axes y-up:y-down sets it upright";
     assert_eq!(stderr(&output), format!("note: {note}\nnote: {lies}\n"));
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500", "--json"]).output().unwrap();
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -479,7 +478,7 @@ fn uvs_of_a_mesh_that_are_not_kept_are_noted() {
     let folder = folder_with_capture(8);
     let vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n";
     for (material, notes) in
-        [("a", ""), ("b", "note: mesh.obj: its UVs are not kept, it is unwrapped anew: they are of 2 materials\n")]
+        [("a", ""), ("b", "note: mesh.obj: its UVs are not kept, new ones are made: they belong to 2 materials\n")]
     {
         let faces = format!("usemtl a\nf 1/1 2/2 3/3\nusemtl {material}\nf 2/2 4/4 3/3\n");
         std::fs::write(folder.path().join("mesh.obj"), [vertices, &faces].concat()).unwrap();
@@ -622,7 +621,7 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     assert!(line.ends_with("expected a checkpoint of a run with the same options, but seed was 0 and is 7"), "{line}");
     let mut with_mesh = train(folder.path(), ["--surface", "points", "--resume"]);
     let line = failure(folder.path(), &mut with_mesh);
-    assert!(line.ends_with("a run with the same mesh, but that was none and is points"), "{line}");
+    assert!(line.ends_with("a run with the same mesh, but it was none and is now points"), "{line}");
     let line = resumed(&["--max-side", "40"]);
     assert!(line.contains("expected a checkpoint of the same photographs and masks at the same size"), "{line}");
     std::fs::write(&checkpoint, &whole[..whole.len() - 7]).unwrap();

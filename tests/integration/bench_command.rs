@@ -115,10 +115,10 @@ fn a_data_set_is_trained_once_and_tabled() {
     elsewhere["job"]["capture"] = (elsewhere["job"]["capture"].as_u64().unwrap() ^ 1).into();
     let elsewhere = elsewhere.to_string();
     for (text, expected) in [
-        ("{}", "no result of a training; delete it to do that job anew\n"),
+        ("{}", "not the result of a training; delete it to repeat the job\n"),
         (
             "{",
-            "no result of a training; delete it to do that job anew: EOF while parsing an object at line 1 column 1\n",
+            "not the result of a training; delete it to repeat the job: EOF while parsing an object at line 1 column 1\n",
         ),
         (
             &elsewhere,
@@ -290,8 +290,7 @@ fn jobs_of_another_runner_have_an_exit_code_and_can_be_waited_for() {
     let all = bench(&[]).output().unwrap();
     assert!(all.status.success(), "{:?}", said(&all));
     assert_eq!(said(&all).1, "note: 1 job left to another runner, first default/one-0\n");
-    let left =
-        "error: 1 job left to another runner, first default/one-0: the same command does what that leaves undone\n";
+    let left = "error: 1 job left to another runner, first default/one-0: the same command does what that runner leaves undone\n";
     for part in [["--only", "default/one-0"], ["--shard", "0/1"], ["--wait", "1"]] {
         let part = bench(&part).output().unwrap();
         assert_eq!(part.status.code(), Some(3), "{:?}", said(&part));

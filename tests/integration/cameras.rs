@@ -176,7 +176,7 @@ fn a_path_is_not_made_of_the_one_before() {
     std::fs::write(at("late.gltf"), late.to_string()).unwrap();
     let said = run(folder.path(), &["cameras", "convert", "late.gltf", "-o", "late.json"]);
     assert!(
-        said.contains("note: late.gltf: begins at 5.042 s, which late.json does not say: there it begins at 0"),
+        said.contains("note: late.gltf: begins at 5.042 s, which late.json cannot store: there it begins at 0"),
         "{said}"
     );
     let said = run(folder.path(), &["cameras", "convert", "late.gltf", "-o", "late.usda"]);
@@ -314,7 +314,8 @@ fn scenes_without_cameras_are_seen_from_around_them() {
     for scene in ["ball.ply", "ball.glb"] {
         write_ball(&at(scene), Composition::default());
         let said = run(folder.path(), &["render", scene, "-o", "around", "--max-side", "64"]);
-        let note = format!("note: {scene}: holds no cameras: seen from 8 places around it; --cameras takes those of");
+        let note =
+            format!("note: {scene}: has no cameras: rendered from 8 places around it; --cameras takes cameras of");
         assert!(said.starts_with("around: 8 pictures\n") && said.contains(&note), "{said}");
         for i in 0..8 {
             let picture = image::open(at(&format!("around/view_{i}.png"))).unwrap().into_rgb8();
@@ -325,7 +326,7 @@ fn scenes_without_cameras_are_seen_from_around_them() {
         }
         for (kind, out) in [("orbit", "o.glb"), ("lemniscate", "l.json"), ("spline", "s.usda")] {
             let said = run(folder.path(), &["cameras", kind, scene, "-o", out, "--frames", "3", "--size", "32x24"]);
-            let note = format!("note: {scene}: holds no cameras: the path goes by 8 around what it shows\n");
+            let note = format!("note: {scene}: has no cameras: the path is made from 8 around the scene\n");
             assert!(said.starts_with(&format!("{out}: 3 frames of 32×24")) && said.ends_with(&note), "{said}");
         }
     }
@@ -539,8 +540,8 @@ fn scenes_that_are_y_up_are_seen_by_captures_as_their_conversion_is() {
         (said, files)
     };
     let ((said, theirs), (quiet, ours)) = (layers("theirs.usda", "a"), layers("ours.glb", "b"));
-    let note = "note: capture: taken to be in the frame of captures: turned half about x, as theirs.usda is y up\n";
-    assert!(said.contains(note) && !quiet.contains("half about x"), "{said} {quiet}");
+    let note = "note: capture: cameras taken to be y down, as in captures: rotated by 180° about x, because theirs.usda is y up\n";
+    assert!(said.contains(note) && !quiet.contains("180° about x"), "{said} {quiet}");
     let mut seen = false;
     for (a, b) in theirs.iter().flatten().zip(ours.iter().flatten()) {
         assert_eq!(a.0, b.0);

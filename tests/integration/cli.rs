@@ -58,23 +58,23 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
         ),
         (
             &["render", "a.glb", "-o", "a", "--layers", "--format", "png"],
-            "--layers writes EXR files: leave --format png away",
+            "--layers writes EXR files: omit --format png",
         ),
         (
             &["render", "a.glb", "-o", "a", "--sh-direction", "ray"],
-            "--sh-direction ray needs --model ray: projected splats have one colour each",
+            "--sh-direction ray needs --model ray: with --model ewa, every splat has one colour",
         ),
         (
             &["render", "a.glb", "-o", "a", "--video", "a.mp4", "--layers"],
-            "--video is made of PNG pictures: leave --format exr and --layers away",
+            "--video is made of PNG images: omit --format exr and --layers",
         ),
         (
             &["render", "a.glb", "-o", "a", "--exr-type", "half"],
-            "--exr-type and --exr-compression are of EXR files: say --format exr or --layers",
+            "--exr-type and --exr-compression apply to EXR files: give --format exr or --layers",
         ),
         (
             &["render", "a.glb", "-o", "a", "--images", "images_4"],
-            "--images is of photographs: say --cameras CAPTURE, or leave it away",
+            "--images applies to photographs: give --cameras CAPTURE, or omit --images",
         ),
         (
             &["convert", "a.ply", "a.glb", "--spz-version", "3"],

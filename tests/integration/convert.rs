@@ -139,7 +139,7 @@ fn what_is_lost_is_named_or_refused() {
     let folder = tempfile::tempdir().unwrap();
     write_hybrid(&folder.path().join("h.glb"));
     let line = failure(folder.path(), "h.glb s.ply --strict");
-    assert_eq!(line, "error: s.ply: --strict: a .ply would lose 1 mesh(es); 1 camera(s); the rule of blending");
+    assert_eq!(line, "error: s.ply: --strict: a .ply would lose 1 mesh(es); 1 camera(s); the blending rule");
     let outcome = as_json(folder.path(), "h.glb s.ply");
     assert_eq!((outcome["lossless"].as_bool(), outcome["loss"]["meshes"].as_u64()), (Some(false), Some(1)));
     assert_eq!((outcome["splats"].as_u64(), outcome["meshes"].as_u64()), (Some(10), Some(0)));
@@ -193,7 +193,7 @@ fn refusals_are_one_line_and_leave_nothing() {
         ),
         (
             "copies.usda b.glb",
-            "error: b.glb: expected something to write, found no splats and no meshes: copies.usda: 1 prim of type PointInstancer left out, with what is below",
+            "error: b.glb: expected something to write, found no splats and no meshes: copies.usda: 1 prim of type PointInstancer left out, with all below",
         ),
         ("h.glb b.ply --min-opacity 1", "error: b.ply: expected splats for a .ply, found meshes alone"),
         ("h.glb b.glb --scale 1e300", "error: moving the scene: near: expected a positive number, found inf"),
@@ -236,7 +236,7 @@ fn a_rule_that_no_input_states_is_not_lost_by_scaling() {
     convert(folder.path(), "a.ply b.glb --scale 100 --strict");
     assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.near, 20.0);
     let line = failure(folder.path(), "b.glb c.ply --strict");
-    assert_eq!(line, "error: c.ply: --strict: a .ply would lose the rule of blending");
+    assert_eq!(line, "error: c.ply: --strict: a .ply would lose the blending rule");
 }
 
 #[test]
@@ -296,10 +296,10 @@ fn several_inputs_become_one_scene() {
     assert!(!convert(folder.path(), "m.glb m.glb -o b.glb").contains("left out"));
     // As `*.glb` names them, the last is no output.
     let line = failure(folder.path(), "a.ply m.glb b.glb");
-    assert_eq!(line, "error: b.glb: is there already: -o b.glb replaces it");
+    assert_eq!(line, "error: b.glb: exists already: -o b.glb replaces it");
     // Of two names of one kind the second is written, and that is said.
     format::write_scene(&folder.path().join("old.glb"), &scene, &WriteOptions::default()).unwrap();
-    let note = "note: old.glb: was there before, and is replaced: of two names the second is written\n";
+    let note = "note: old.glb: existed before and is replaced: the last file is the one to write\n";
     assert!(
         convert(folder.path(), "m.glb old.glb").contains(note)
             && !convert(folder.path(), "m.glb -o old.glb").contains(note)
@@ -375,7 +375,7 @@ fn gltf_of_others_stays_upright() {
     assert!(same.y_up && same.scene.meshes[0].positions()[1] == Vec3::new(1.0, -1.0, -2.0));
     let said = convert(folder.path(), "theirs.gltf theirs.gltf ours.glb");
     assert!(said.contains("note: theirs.gltf: "), "a material that is reduced is worth a note: {said}");
-    assert!(said.starts_with("lost: nothing but what the notes say\n"), "{said}");
+    assert!(said.starts_with("lost: nothing, except as noted\n"), "{said}");
     let line = failure(folder.path(), "theirs.gltf theirs.gltf strict.glb --strict");
     assert!(line.starts_with("error: theirs.gltf: --strict: "), "{line}");
     let ours = read(&folder.path().join("ours.glb"));
@@ -592,8 +592,9 @@ fn invalid_splats_are_refused_or_dropped() {
     // What is read whole or not at all, where it is.
     for whole in ["b.spz", "b.compressed.ply", "b.glb"] {
         convert(folder.path(), &format!("b.ply {whole}"));
-        let note =
-            format!("--drop-invalid has no effect on {whole}: it is of .splat, and of .ply that is not compressed");
+        let note = format!(
+            "--drop-invalid has no effect on {whole}: it applies to .splat, and to .ply that is not compressed"
+        );
         let said = convert(folder.path(), &format!("a.ply {whole} -o d.ply --drop-invalid"));
         assert!(said.contains(&format!("\nnote: d.ply: {note}\n")), "{said}");
         let said = as_json(folder.path(), &format!("{whole} d.splat --drop-invalid"));

@@ -28,17 +28,21 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
     }
     let train = "train capture -o scene.glb --no-mesh --iterations 3 --max-splats 300 --no-eval";
     for (trained, told) in [
-        ("", "the scene was trained without masks, and is scored with"),
-        (" --masks", "the scene was trained with masks, and is scored without"),
+        ("", "the scene was trained without masks, but is scored with masks"),
+        (" --masks", "the scene was trained with masks, but is scored without them"),
     ] {
         let outcome = run(folder.path(), &format!("{train}{trained}"));
         let notes = outcome["notes"].to_string();
         assert_eq!(outcome["masks"], !trained.is_empty());
-        assert_eq!(notes.contains("capture/masks is there: --masks uses it"), trained.is_empty(), "{notes}");
+        assert_eq!(
+            notes.contains("capture/masks exists but is not used: --masks uses it"),
+            trained.is_empty(),
+            "{notes}"
+        );
         for scored in ["", " --masks"] {
             let scores = run(folder.path(), &format!("eval scene.glb capture -o scores{scored}"));
             let expected = match (scored, trained) {
-                ("", "") => json!(["capture/masks is there: --masks uses it"]),
+                ("", "") => json!(["capture/masks exists but is not used: --masks uses it"]),
                 _ if scored == trained => json!([]),
                 _ => json!([told]),
             };
@@ -55,7 +59,7 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
     }
     // In another size, and where photographs have other names.
     let notes = run(folder.path(), "eval scene.glb capture --masks --max-side 24")["notes"].clone();
-    let expected = "pictures are 24×16, those that the scene was trained on 48×32: for its scores";
+    let expected = "photographs are 24×16, but the scene was trained on 48×32: to score it at that size";
     assert!(notes[0].as_str().is_some_and(|note| note.starts_with(expected)), "{notes}");
     let list = capture.join("sparse/0/images.txt");
     let mut text = std::fs::read_to_string(&list).unwrap();
@@ -68,7 +72,7 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
     }
     std::fs::write(&list, text).unwrap();
     let notes = run(folder.path(), "eval scene.glb capture --masks")["notes"].clone();
-    let expected = "the scene knows none of the capture's views by name";
+    let expected = "no camera of the scene has the name of a view of the capture";
     assert!(notes[0].as_str().is_some_and(|note| note.starts_with(expected)), "{notes}");
 }
 

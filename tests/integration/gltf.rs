@@ -122,7 +122,7 @@ fn splats_of_cesiums_draft() {
     let path = data("oracle_cesium_gltf_splat/synthetic_5splats.gltf");
     let file = read_file(&path, &ReadOptions::default()).unwrap();
     assert_eq!((file.scene.splats.len(), file.scene.splats.sh_degree()), (5, 0));
-    assert!(file.notes.iter().any(|n| n.contains("of a draft of the extension")), "{:?}", file.notes);
+    assert!(file.notes.iter().any(|n| n.contains("for a draft of the extension")), "{:?}", file.notes);
     // Means at −2 to 2 along the diagonal, by the node's matrix; y down.
     let first = file.scene.splats.means()[0];
     assert!((first - Vec3::new(0.0, -10.0, 5.0)).length() < 1e-5, "{first}");

@@ -120,7 +120,10 @@ fn cameras_of_others_stay_where_they_are_in_every_format() {
         assert!(picture(to, &format!("by-{to}")) == expected, "{to}");
     }
     let said = run(folder.path(), "cameras convert a.gltf -o model");
-    assert!(said.contains("note: a.gltf: its world is y up: turned half about x into the frame of captures"), "{said}");
+    assert!(
+        said.contains("note: a.gltf: its world is y up: rotated by 180° about x into the frame of captures"),
+        "{said}"
+    );
     assert!(picture("model", "by-model") == expected);
 }
 
@@ -148,11 +151,15 @@ fn animations_are_chosen_by_name() {
         (moved, said["inputs"][0]["notes"].to_string())
     };
     for (flags, expected, note) in [
-        ("--quiet", Vec3::new(2.0, 0.0, 0.0), "1 of 2 move what one before them moves"),
-        ("--animation slide", Vec3::new(2.0, 0.0, 0.0), "not asked for, left out: 1"),
-        ("--animation rise", Vec3::new(0.0, -4.0, 0.0), "not asked for, left out: 1"),
-        ("--animation 1", Vec3::new(0.0, -4.0, 0.0), "not asked for, left out: 1"),
-        ("--animation rise --animation slide", Vec3::new(2.0, 0.0, 0.0), "1 of 2 move what one before them moves"),
+        ("--quiet", Vec3::new(2.0, 0.0, 0.0), "1 of 2 move something that an earlier one moves"),
+        ("--animation slide", Vec3::new(2.0, 0.0, 0.0), "not selected and left out: 1"),
+        ("--animation rise", Vec3::new(0.0, -4.0, 0.0), "not selected and left out: 1"),
+        ("--animation 1", Vec3::new(0.0, -4.0, 0.0), "not selected and left out: 1"),
+        (
+            "--animation rise --animation slide",
+            Vec3::new(2.0, 0.0, 0.0),
+            "1 of 2 move something that an earlier one moves",
+        ),
     ] {
         let (moved, notes) = first(flags);
         assert!((moved - expected).length() < 1e-6 && notes.contains(note), "{flags}: {moved}, {notes}");
@@ -167,16 +174,16 @@ fn animations_are_chosen_by_name() {
     for output in ["c.glb", "c.ply"] {
         let args = ["convert", "b.gltf", output, "--animation", "rise"];
         let error = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
-        assert!(error.contains("only a .blend.py plays it") && error.contains("say --time"), "{error}");
+        assert!(error.contains("only a .blend.py is animated by it") && error.contains("without --time"), "{error}");
     }
     // That one of them wins is said where they are played, not at rest.
     for (flags, is_said) in [("--time 0..0.5 --fps 2", true), ("", false)] {
         let said = run(folder.path(), format!("render b.gltf --camera front -o said --quiet {flags}").trim_end());
-        let note = "note: b.gltf: /animations: 1 of 2 move what one before them moves: there the first is played; --animation says which\n";
+        let note = "note: b.gltf: /animations: 1 of 2 move something that an earlier one moves: there the earlier one is played; --animation selects one\n";
         assert_eq!(said.contains(note), is_said, "{said}");
     }
     let said = run(folder.path(), "render b.gltf --camera front --animation rise -o rest --quiet");
-    assert!(said.contains("--animation gives them no times, and the scene is shown as it rests"), "{said}");
+    assert!(said.contains("--animation has no effect, and the scene is shown in its rest pose"), "{said}");
 }
 
 /// Frames a second are of frames: photographs and other stills show a scene that moves as it rests.
@@ -192,7 +199,7 @@ fn stills_have_no_time() {
     };
     let ((_, rest), (said, film)) = (pictures("rest", ""), pictures("film", " --fps 4"));
     assert!(rest == film && rest.len() == 9);
-    let note = "note: capture: its cameras are no frames of a path: --fps gives them no times, and the scene is shown as it rests";
+    let note = "note: capture: its cameras are not frames of a path and have no times: --fps has no effect, and the scene is shown in its rest pose";
     assert!(said.contains(note), "{said}");
     // It would be seen to move, also where the first does not see it.
     assert!(rest[1..] != pictures("moved", " --time 1").1[1..]);
@@ -238,7 +245,7 @@ fn what_becomes_large_says_why() {
     document["materials"][0]["pbrMetallicRoughness"] = json!({ "baseColorTexture": { "index": 0 } });
     std::fs::write(at("c.gltf"), document.to_string()).unwrap();
     let said = run(folder.path(), "convert c.gltf posed.glb --time 0.5");
-    assert!(said.contains(" times as large as what it was made of: pictures have become maps of floats\n"), "{said}");
+    assert!(said.contains(" times as large as its source: compressed images have become maps of floats\n"), "{said}");
     let said = run(folder.path(), "convert c.gltf whole.glb");
     assert!(!said.contains("as large as"), "{said}");
 }
@@ -255,7 +262,7 @@ fn what_is_malformed_keeps_still_in_blender_and_is_named() {
     let outcome = as_json(folder.path(), "convert b.gltf b.blend.py");
     assert_eq!(outcome["loss"]["document"], json!(["1 animation"]), "{outcome}");
     let notes = outcome["notes"].to_string();
-    let expected = "all keeps still, as an animation is malformed: /accessors/2/type: expected ";
+    let expected = "nothing is animated, because an animation is malformed: /accessors/2/type: expected ";
     assert!(notes.contains(expected), "{notes}");
     assert!(!folder.path().join("b_motion.npz").exists());
 }
@@ -293,7 +300,7 @@ fn pictures_are_of_their_time() {
     let one = run(folder.path(), "render a.gltf -o span --time 0 --quiet");
     assert!(!one.contains("note"), "{one}");
     // Beyond the last key nothing moves on.
-    let beyond = "note: a.gltf: /animations: last from 0.000 to 1.000 s: beyond that all is as at the nearer end\n";
+    let beyond = "note: a.gltf: /animations: last from 0.000 to 1.000 s: outside, the scene is as at the nearer end\n";
     for (time, is_said) in [("5", true), ("0.5..1.5", true), ("1", false)] {
         let said = run(folder.path(), &format!("render a.gltf -o late --time {time} --fps 2 --quiet"));
         assert_eq!(said.contains(beyond), is_said, "{time}: {said}");
@@ -320,7 +327,7 @@ fn pictures_are_of_their_time() {
     let read = |run: &str| std::fs::read(folder.path().join(run).join("frame_00002.png")).unwrap();
     assert!(read("one") == read("moving"));
     let error = failure(folder.path(), "render a.gltf --cameras path.json -o no --time 0..1");
-    assert!(error.contains("expected one camera that keeps still, found 3 frames of one that moves"), "{error}");
+    assert!(error.contains("expected one still camera, found 3 frames of a moving one"), "{error}");
     // One of a capture keeps still, and so does a frame of a path.
     common::write_capture(&folder.path().join("capture"), 9, (16, 12));
     for (still, out) in
@@ -333,9 +340,9 @@ fn pictures_are_of_their_time() {
     assert!(error.ends_with("expected at most 36000 frames, found 2000 s at 30 a second"), "{error}");
     run(folder.path(), "convert a.gltf still.glb --time 0");
     let error = failure(folder.path(), "render still.glb -o no --time 0..1");
-    assert!(error.ends_with("--time START..END: expected a scene that moves, found one that rests"), "{error}");
+    assert!(error.ends_with("--time START..END: expected an animated scene, found one without animation"), "{error}");
     let said = as_json(folder.path(), "render still.glb -o still --time 1")["notes"].to_string();
-    assert!(said.contains("at 1 s it is shown as it rests"), "{said}");
+    assert!(said.contains("at 1 s the scene is in its rest pose"), "{said}");
     std::fs::write(folder.path().join("p.ply"), "ply\n").unwrap();
     let error = failure(folder.path(), "convert p.ply b.glb --time 1");
     assert!(

@@ -34,7 +34,7 @@ fn a_path_does_not_replace_the_scene_it_is_of() {
     run(folder.path(), "cameras convert capture -o scene.glb");
     for kind in ["orbit scene.glb -o scene.glb --frames 3", "convert scene.glb -o ./scene.glb"] {
         let line = refused(folder.path(), &format!("cameras {kind}"));
-        let is_so = line.contains("another file than scene.glb, which would be lost; with --with-scene it is written");
+        let is_so = line.contains("another file than scene.glb, which would be lost; --with-scene writes it again");
         assert!(is_so, "{line}");
     }
 }
@@ -156,11 +156,11 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     let line = refused(folder.path(), "convert g_splats.ply g.xml");
     assert!(
         line.starts_with("error: g.xml: would replace ")
-            && line.ends_with("is read; another name or a folder of its own keeps both"),
+            && line.ends_with("is an input; another name or a folder of its own keeps both"),
         "{line}"
     );
     let line = refused(folder.path(), "convert g.ply g.xml");
-    let expected = "g_splats.ply, which is there already; another name or a folder of its own keeps both";
+    let expected = "g_splats.ply, which exists already; another name or a folder of its own keeps both";
     assert!(line.ends_with(expected), "{line}");
     // An export may be repeated, beside one of the same scene, too.
     std::fs::remove_file(at("g_splats.ply")).unwrap();
@@ -190,13 +190,13 @@ fn outputs_of_others_do_not_give_their_neighbours_away() {
     std::fs::write(at("h.xml"), "<scene version='3.0.0'/>\n").unwrap();
     let line = refused(folder.path(), "convert g.ply h.xml");
     assert!(
-        line.ends_with("h_splats.ply, which is there already; another name or a folder of its own keeps both"),
+        line.ends_with("h_splats.ply, which exists already; another name or a folder of its own keeps both"),
         "{line}"
     );
     // Of another version, or changed by hand, under a name that all scenes have for it.
     std::fs::write(at("hybrid_rf.py"), "# other\n").unwrap();
     let line = refused(folder.path(), "convert g.ply i.xml");
-    assert!(line.ends_with("hybrid_rf.py, which is there already; a folder of its own keeps both"), "{line}");
+    assert!(line.ends_with("hybrid_rf.py, which exists already; a folder of its own keeps both"), "{line}");
     // Nothing is put beside a scene that cannot be put there.
     std::fs::remove_file(at("hybrid_rf.py")).unwrap();
     std::fs::create_dir(at("hybrid_rf.py")).unwrap();
@@ -213,11 +213,11 @@ fn exports_that_share_files_are_told_of() {
     assert!(!said.contains("replaced"), "the same files: {said}");
     let said = run(folder.path(), "convert g.ply s_1.xml --scale 2");
     assert!(
-        said.contains("note: s_1.xml: s_1.blend.py shows files that this has replaced: write it anew, too"),
+        said.contains("note: s_1.xml: s_1.blend.py uses files that were replaced: convert it again, too"),
         "{said}"
     );
     std::fs::rename(folder.path().join("s_1.blend.py"), folder.path().join("s 1.blend.py")).unwrap();
     let line = refused(folder.path(), "convert g.ply s_1.xml");
-    let expected = "s_1_splats.ply, which s 1.blend.py shows; another name or a folder of its own keeps both";
+    let expected = "s_1_splats.ply, which s 1.blend.py uses; another name or a folder of its own keeps both";
     assert!(line.ends_with(expected), "{line}");
 }

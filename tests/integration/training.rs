@@ -400,7 +400,7 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     let outcome: serde_json::Value = serde_json::from_slice(&stopped.stdout).unwrap();
     let notes = outcome["notes"].to_string();
     assert_eq!(stopped.status.code(), Some(130));
-    assert!(notes.contains("scene.glb: is still that of an earlier run"), "{notes}");
+    assert!(notes.contains("scene.glb: is still the scene of an earlier run"), "{notes}");
     std::fs::remove_file(folder.path().join("scene.glb")).unwrap();
 
     // One that ends, which is asked to stop as it begins.
@@ -460,7 +460,7 @@ fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     let (code, _, said) = run("--no-eval --quiet --json");
     let said: serde_json::Value = serde_json::from_str(&said).unwrap();
     assert!(code == Some(0) && !checkpoint.exists() && std::fs::read(&aside).unwrap() == bytes, "{said}");
-    assert!(said["notes"][2].as_str().unwrap().contains("was left by another run and is now"), "{said}");
+    assert!(said["notes"][2].as_str().unwrap().contains("was left by another run, and was renamed to"), "{said}");
 
     std::fs::rename(&aside, &checkpoint).unwrap();
     picture(2, 0);
@@ -480,9 +480,9 @@ fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     };
     write(serde_json::json!({ "train_filenames": ["0.png", "1.png", "2.png", "3.png"] }));
     let all = notes("--masks --quiet --json");
-    assert!(all[1].ends_with("has no masks: nothing is masked") && all[2].contains("holds no view out"), "{all:?}");
-    assert!(all.len() == 5 && all[3].contains("has views for which +y is up"), "{all:?}");
-    assert_eq!(all[4], "scene.glb: is there, and is replaced when this training is done");
+    assert!(all[1].ends_with("has no masks: nothing is masked") && all[2].contains("holds out no view"), "{all:?}");
+    assert!(all.len() == 5 && all[3].contains("was taken with +y up"), "{all:?}");
+    assert_eq!(all[4], "scene.glb: exists, and will be replaced when this training is done");
     let (code, said, _) = run("--images images_4 --quiet");
     assert!(code == Some(1) && said.contains("/frames/0/file_path") && said.contains("begins with images/"), "{said}");
     let (code, said, _) = run("--max-splats 0");
@@ -534,7 +534,7 @@ fn a_report_has_no_pictures_of_another() {
     let list = at("capture/sparse/0/images.txt");
     let views = std::fs::read_to_string(&list).unwrap();
     let note = |left: &str| {
-        format!("note: report: has 2 pictures of an earlier report, of views that this one does not score: {left}\n")
+        format!("note: report: has 2 pictures of an earlier report, of views that are not scored now: {left}\n")
     };
     std::fs::write(&list, views.split_once("\n\n").unwrap().1).unwrap();
     let (code, said) = run(train);
@@ -653,7 +653,7 @@ fn what_a_surface_was_made_of_is_said() {
         assert_eq!((outcome["surface"].as_str(), outcome["notes"].as_array().unwrap().len()), (Some(origin), notes));
         let report = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
         let words = if notes == 2 {
-            "points of the capture, taken for seen where none is nearer"
+            "points of the capture, taken as visible where no nearer one hides them"
         } else {
             "fused depth of splats"
         };
@@ -696,7 +696,7 @@ fn a_surface_is_compared_with_what_it_should_be() {
     // What cannot become so few is told.
     let few: serde_json::Value = serde_json::from_str(&mesh("--mesh a.glb -o d.glb --triangles 1 --json")).unwrap();
     let (left, notes) = (of_triangles(&few, "simplified"), few["notes"].to_string());
-    let said = format!("d.glb: {left} triangles are left, more than the 1 of --triangles: ");
+    let said = format!("d.glb: {left} triangles remain, more than the 1 of --triangles: ");
     assert_eq!(notes.contains(&said), left > 1, "{notes}");
     assert_eq!(few["bytes"], folder.path().join("d.glb").metadata().unwrap().len());
     // What no camera sees does not count: a square above all of them, as large as the surface.

@@ -30,9 +30,9 @@ pub(super) const MIPNERF360: [(&str, u32); 9] = [
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Protocol {
-    /// The smaller pictures that the data set brings, compressed twice (INRIA)
+    /// The smaller images that come with the data set, compressed twice (INRIA)
     A,
-    /// The full pictures, scaled down on loading (Mip-Splatting, HERA)
+    /// The full-size images, scaled down on loading (Mip-Splatting, HERA)
     B,
 }
 
@@ -58,7 +58,7 @@ pub(super) fn of_full_size(jobs: &[&Job]) -> Option<String> {
     (!scenes.is_empty()).then(|| {
         let scenes = scenes.into_iter().collect::<Vec<_>>().join(", ");
         format!(
-            "{scenes}: trained at full size, which takes long and compares with no published row: --protocol a or b takes that of tables"
+            "{scenes}: trained at full size, which takes long and has no published results: --protocol a or b uses the published sizes"
         )
     })
 }

@@ -28,26 +28,32 @@ Examples:
   centaur bench captures/mipnerf360 -o 7k --protocol b --scenes room --jobs 2 -- --iterations 7000
   centaur bench captures/mipnerf360 -o m360 --table
 
-By several runners, of which each is told the same, here as $JOBS:
+Several runners (processes, on one or more machines) share the jobs if all get the same arguments:
   JOBS=\"captures/mipnerf360 -o m360 --protocol b --variant hybrid --variant splats=--no-mesh\"
-  CENTAUR_ADAPTER='#0' centaur bench $JOBS --shard 0/2  # first of 2 GPUs
-  CENTAUR_ADAPTER='#1' centaur bench $JOBS --shard 1/2  # the other, at the same time
+  CENTAUR_ADAPTER='#0' centaur bench $JOBS --shard 0/2  # on the first of 2 GPUs
+  CENTAUR_ADAPTER='#1' centaur bench $JOBS --shard 1/2  # on the second, at the same time
   sbatch --array=0-17 datasets-scripts/bench.sbatch $JOBS  # Slurm, with centaur in the PATH
   python3 datasets-scripts/bench_ray.py $JOBS  # Ray, with centaur in the PATH
   centaur bench $JOBS --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c";
 
-/// Train and score every capture of a data set, and put the results beside published ones
+/// Train and score every capture of a data set, and compare the results with published ones
 ///
-/// Every folder in DATASET that holds a capture is a scene; where DATASET has a scenes.json, those that it lists are, with flags of their own.
-/// Every scene, variant and seed is a job of its own: OUT/VARIANT/SCENE-SEED.json is there once it is done, and what is there is not done
-/// again, nor what another runner is at. Results of other flags, or of another capture of that name, are refused. Ctrl-C leaves
-/// checkpoints, from which the same command goes on.
-/// OUT/table.md has all results in OUT and their means over the scenes that every variant has, beside published rows where these are
-/// those of a known set: Mip-NeRF 360 by either protocol; train and truck of Tanks and Temples, or drjohnson and playroom of Deep Blending,
-/// with pictures as they come; Barn, Caterpillar, Ignatius, train and truck at that size, which may be the five of HERA's paper. The latter
-/// three not by protocol a, whose SSIM is another. What the rows are of is said below them, and what trainings had to say, such as why a
-/// scene has no mesh. Scenes that were scored with masks are marked: they have no mean together with others, and no published rows beside them.
-/// Times are of training whole, and of an iteration in which splats and mesh, if there is one, are trained together.
+/// Every folder in DATASET that contains a capture is a scene; if DATASET has a scenes.json, the scenes are those that
+/// it lists, with flags of their own. Every combination of scene, variant and seed is a job. Its result is written to
+/// OUT/VARIANT/SCENE-SEED.json when it is done. Jobs that have a result, or that another runner is working on, are
+/// skipped; results of other flags, or of another capture of the same name, are refused. Ctrl-C leaves checkpoints,
+/// from which the same command continues.
+///
+/// OUT/table.md lists all results in OUT and their means over the scenes that all variants have in common. If these
+/// scenes are a known set, published results are added: Mip-NeRF 360 with either protocol; train and truck of Tanks and
+/// Temples, or drjohnson and playroom of Deep Blending, at the image size as distributed; Barn, Caterpillar, Ignatius,
+/// train and truck at about that size, which may be the five scenes of the paper of HERA. The latter three are not
+/// compared with protocol a, which defines SSIM differently.
+///
+/// Below the table are the conditions of the scores, and notes of the trainings, such as why a scene has no mesh.
+/// Scenes scored with masks are marked; they are neither averaged with others nor compared with published results.
+/// Training times are of the whole training; times per iteration are of iterations that train splats and mesh (if there
+/// is one) together.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
@@ -56,42 +62,48 @@ pub(super) struct Args {
     /// Folder for scenes, reports and the table
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Only these scenes [default: all]
+    /// Scenes to train, separated by commas [default: all]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     scenes: Vec<String>,
-    /// A way to train, with flags of `centaur train`, which replace those after `--`; may be given several times [default: `default`, without flags]
+    /// Training variant: a name, and flags of `centaur train`, which override those after `--`; may be given several
+    /// times [default: `default`, without flags]
     #[arg(long = "variant", value_name = "NAME[=FLAGS]", value_parser = jobs::variant, allow_hyphen_values = true)]
     variants: Vec<Variant>,
-    /// Seeds of every scene and variant
+    /// Seeds with which every scene and variant is trained, separated by commas
     #[arg(long, value_name = "N,N…", value_delimiter = ',', default_value = "0", value_parser = output::whole_number)]
     seeds: Vec<u64>,
-    /// Size of the pictures of Mip-NeRF 360, 1/4 outdoors and 1/2 indoors; scenes of other names are taken as they are [default: all are]
+    /// Image size for scenes of Mip-NeRF 360: 1/4 outdoors, 1/2 indoors; scenes with other names are used as they are
+    /// [default: all scenes are]
     #[arg(long, value_enum)]
     protocol: Option<Protocol>,
-    /// Jobs at a time. The table leaves out times of jobs that may have shared the machine: of several --jobs, --list and --shard. Runners
-    /// that are started side by side by hand it cannot notice
+    /// Number of jobs to run at the same time
+    ///
+    /// The table leaves out times of jobs that may have shared the machine, that is with --jobs above 1, --list or
+    /// --shard. Runners that are started side by side by hand are not noticed.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
-    /// Only every N-th job, from the I-th on, counted from 0: for arrays of Slurm
+    /// Run only every N-th job, starting with job I (counted from 0), for Slurm arrays
     #[arg(long, value_name = "I/N", value_parser = jobs::shard)]
     shard: Option<Shard>,
-    /// When all others are done, wait at most so long for jobs that another runner is at, and do what it leaves undone. With this, --shard or
-    /// --only the exit code is 3 where one of them is still another runner's at the end
+    /// Wait up to this long for jobs of other runners, after all other jobs, and do those that are left undone
+    ///
+    /// With --wait, --shard or --only, the exit code is 3 if another runner is still working on one of these jobs at
+    /// the end.
     #[arg(long, value_name = "SECONDS", default_value_t = 0)]
     wait: u64,
-    /// Only this job; may be given several times
+    /// Run only this job; may be given several times
     #[arg(long, value_name = "VARIANT/SCENE-SEED")]
     only: Vec<String>,
     /// Other runners may be on this machine: in what `--list` prints
     #[arg(long, hide = true)]
     beside_others: bool,
-    /// Print a command, quoted for a shell, for each job that is not done, and do none
+    /// Print a command, quoted for a shell, for each job that is not done, and run none
     #[arg(long, conflicts_with_all = ["table", "json"])]
     list: bool,
-    /// Make the table of all that is done in -o, whichever scenes and variants this command names, and do nothing else
+    /// Write the table of all results in -o, of whichever scenes and variants, and do nothing else
     #[arg(long)]
     table: bool,
-    /// Flags of `centaur train` for every job
+    /// Flags of `centaur train` for all jobs
     #[arg(last = true, value_name = "FLAGS")]
     flags: Vec<String>,
     #[command(flatten)]
@@ -142,7 +154,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             open.push(job);
         } else if record::read(job.result.clone())?.is_none() {
             // Another runner may have written a result since.
-            bail!("{}: no result of a training; delete it to do that job anew", job.result.display());
+            bail!("{}: not the result of a training; delete it to repeat the job", job.result.display());
         }
     }
     // Misspelt flags are reported now, not after hours.
@@ -182,7 +194,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // Even if nobody reads the table.
     if is_stopped {
         let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
-        let again = if names.is_empty() { "" } else { ", and does again what failed: " };
+        let again = if names.is_empty() { "" } else { ", and repeats what failed: " };
         bail!("stopped; the same command goes on{again}{}", names.join(", "));
     }
     if let Some((job, reason)) = failed.first() {
@@ -192,7 +204,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         let jobs = output::counted(left.len(), "job");
         let said = format!("{jobs} left to another runner, first {}", job.name());
         if args.wants_all() {
-            return Err(LeftToAnother(format!("{said}: the same command does what that leaves undone")).into());
+            return Err(LeftToAnother(format!("{said}: the same command does what that runner leaves undone")).into());
         }
         output::note(&said);
     }

@@ -53,7 +53,7 @@ fn is_named_as_a_result(file: &Path) -> bool {
 /// Result in a file, if it is one of a training.
 pub(super) fn read(file: PathBuf) -> Result<Option<Record>> {
     let name = || file.display().to_string();
-    let advised = || format!("{}: no result of a training; delete it to do that job anew", name());
+    let advised = || format!("{}: not the result of a training; delete it to repeat the job", name());
     let result: Value = serde_json::from_slice(&std::fs::read(&file).with_context(name)?).with_context(advised)?;
     if result.get("outcome").is_none() {
         return Ok(None);

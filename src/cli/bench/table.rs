@@ -339,7 +339,7 @@ impl Table {
     fn write_notes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let all = || self.variants.iter().flat_map(|of| of.notes.iter().map(move |note| (&of.variant, note)));
         if all().next().is_some() {
-            writeln!(f, "\nWhat trainings said:\n")?;
+            writeln!(f, "\nNotes of the trainings:\n")?;
         }
         for (variant, Note { text, scenes }) in all().take(MOST_NOTES) {
             let scenes = scenes.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
@@ -357,12 +357,12 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sizes = match self.protocol {
             Some(Protocol::A) => {
-                "Scenes of Mip-NeRF 360 in the sizes of protocol A (pictures of the data set), others as they are; SSIM in the table is of windows inside the picture only, whatever follows"
+                "Scenes of Mip-NeRF 360 at the image sizes of protocol A (images of the data set), others as they are; SSIM in the table uses only windows inside the image, whatever is stated next"
             }
             Some(Protocol::B) => {
-                "Scenes of Mip-NeRF 360 in the sizes of protocol B (pictures scaled down here), others as they are"
+                "Scenes of Mip-NeRF 360 at the image sizes of protocol B (full-size images scaled down here), others as they are"
             }
-            None => "Pictures of the size that the flags say",
+            None => "Images of the size given by the flags",
         };
         writeln!(f, "{sizes}; {}.", self.scores)?;
         writeln!(f, "Adapter: {}.", self.adapters.iter().map(String::as_str).collect::<Vec<_>>().join("; "))?;
@@ -409,14 +409,14 @@ impl fmt::Display for Table {
         if self.variants.iter().flat_map(|section| &section.rows).any(|row| row.masked != Masked::None) {
             writeln!(
                 f,
-                "\nMasked rows: photographs and renders are multiplied by masks; of partly masked ones, those of views that have one. Such scores do not compare \
+                "\nMasked rows: photographs and renders are multiplied by masks; in partly masked rows, those of views that have a mask. Such scores do not compare \
                  with others: there is no mean over both, and no published row beside them."
             )?;
         }
         if self.variants.iter().flat_map(|section| &section.rows).any(|row| row.psnr == Some(f64::INFINITY)) {
             writeln!(
                 f,
-                "\nPSNR of inf: a view is, in 8 bits, its photograph, and has no errors that others' could be averaged with."
+                "\nPSNR of inf: in 8 bits, a view is equal to its photograph, so that there is no finite mean."
             )?;
         }
         if let Some(note) = self.published_note {
@@ -529,7 +529,7 @@ mod tests {
             "| splats | triangles | M floats | MB | training, s | s/joint iteration | fps |\n",
             "| a | garden | 1 | 26.00 | 0.800 | – | vgg | 0.300 | 0.200 | 1000 | 0 | – | – | 100.0 | – | 9.5 |\n",
             "| 1000 | 450 | – | – | 80.0 | – | 9.5 |\n",
-            "\nWhat trainings said:\n\n- a, garden, room: has no masks: nothing is masked\n- a, garden, room: --no-mesh: --warmup",
+            "\nNotes of the trainings:\n\n- a, garden, room: has no masks: nothing is masked\n- a, garden, room: --no-mesh: --warmup",
         ] {
             assert!(text.contains(part), "{part}: {text}");
         }
@@ -546,7 +546,7 @@ mod tests {
         records.truncate(1);
         records[0].result["evaluation"]["triangles"] = Value::Null;
         let text = table(&records).to_string();
-        assert!(text.contains("| 1000 | – | – | – | 100.0 |") && !text.contains("said"), "{text}");
+        assert!(text.contains("| 1000 | – | – | – | 100.0 |") && !text.contains("Notes of"), "{text}");
         // Times of jobs that shared the machine are none.
         records[0].made.at_a_time = 2;
         assert!(table(&records).to_string().contains("| 1000 | – | – | – | – | – | – |"));
@@ -565,7 +565,7 @@ mod tests {
         assert!(b.contains("\nPublished rows: the nine scenes of Mip-NeRF 360") && b.contains("colours 0…1."), "{b}");
         let a = with(&|_, r| r.made.protocol = Some(Protocol::A));
         assert!(a.contains("| *2DGS* | published | | 26.815 | 0.796 | | vgg | 0.297 | – |"), "{a}");
-        assert!(a.contains("| a | room | 1 | 27.00 | 0.700 |") && a.contains("inside the picture"), "{a}");
+        assert!(a.contains("| a | room | 1 | 27.00 | 0.700 |") && a.contains("inside the image"), "{a}");
         let free = with(&|_, r| r.made.protocol = None);
         assert!(!free.to_lowercase().contains("published"), "of any size: {free}");
         let alex = with(&|_, r| r.result["evaluation"]["lpips"]["net"] = json!("alex"));

@@ -59,7 +59,7 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
     atomic::replace_all(staging, &files)
         .map_err(|(file, error)| anyhow::Error::from(error).context(format!("{}: cannot write", file.display())))?;
     let note =
-        |other: Sharing| format!("{} shows files that this has replaced: write it anew, too", other.path.display());
+        |other: Sharing| format!("{} uses files that were replaced: convert it again, too", other.path.display());
     Ok(shown.into_iter().map(note).collect())
 }
 
@@ -69,9 +69,9 @@ fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) ->
     for file in companions {
         let is_foreign = !is_own && file.replaces().with_context(|| file.place.display().to_string())?;
         let what = if output::spare(&file.place, inputs.iter().map(PathBuf::as_path)).is_err() {
-            "is read"
+            "is an input"
         } else if is_foreign {
-            "is there already"
+            "exists already"
         } else {
             continue;
         };
@@ -117,7 +117,7 @@ fn showing(output: &Path, beside: &Path, companions: &[Companion]) -> Result<Vec
     let Some(file) = changed else { return Ok(vec![]) };
     if let Some(other) = shown.iter().find(|other| !other.is_of_one_name) {
         bail!(
-            "{}: would replace {}, which {} shows; {}",
+            "{}: would replace {}, which {} uses; {}",
             output.display(),
             file.place.display(),
             other.path.display(),

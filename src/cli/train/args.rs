@@ -23,180 +23,232 @@ Examples:
   centaur train captures/mipnerf360/garden -o garden.glb --mesh scan.obj
   centaur train captures/mipnerf360/garden -o garden.glb --downscale 4 --resume";
 
-/// Train a hybrid scene from a folder of posed photographs
+/// Train a hybrid scene from a folder of photographs with known camera poses
 ///
-/// CAPTURE is a folder with images/ and a COLMAP model (sparse/0, sparse, colmap/sparse/0 or the folder itself; .bin or .txt), or with
-/// transforms*.json. Splats are trained alone first; then a mesh is made and judged, and both are trained together. Every 8th
-/// photograph is held out and scored at the end, or those of the capture's own split, unless --all-views. Ctrl-C, and on Unix a
-/// terminal that goes away, stop after the current step (an iteration, or a surface being made and judged) and leave a checkpoint for
-/// --resume, or after the current view and leave the scene without scores, with the exit code of a program that the signal has ended (130 of
-/// Ctrl-C); a second Ctrl-C stops at once. A scene of that name is replaced when all is done, not before. The method is HERA's ("the
-/// paper": Cai et al., CVPR 2025), on 3D Gaussian splatting (3DGS); docs/method.md lists the defaults that differ from theirs, and why.
+/// CAPTURE is a folder with images/ and a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself; .bin
+/// or .txt), or with transforms*.json.
+///
+/// Splats are trained alone first. Then a mesh is made, its triangles are kept where they show the photographs about as
+/// well as the splats do, and mesh and splats are trained together. Every 8th photograph, or the capture's own test
+/// split if it has one, is held out and scored at the end, unless --all-views is given.
+///
+/// Ctrl-C (or, on Unix, losing the terminal) stops training after the current step (an iteration, or making and judging
+/// a surface) and saves a checkpoint for --resume. During scoring it stops after the current view and leaves the scene
+/// without scores. The exit code is then that of a program ended by the signal (130 for Ctrl-C). A second Ctrl-C stops
+/// immediately. An existing scene of the same name is replaced only when training is complete.
+///
+/// The method is that of HERA ("the paper": Cai et al., CVPR 2025), on 3D Gaussian splatting (3DGS); docs/method.md
+/// lists the defaults that differ from theirs, and why.
 // A flag given again replaces the former, so that variants of `centaur bench` can override common flags.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_override_self = true)]
 pub(in crate::cli) struct Args {
-    /// Folder with photographs and poses, or a transforms*.json
+    /// Folder with photographs and camera poses, or a transforms*.json
     pub(super) capture: PathBuf,
-    /// Scene to write
+    /// Scene file to write
     #[arg(short, long, value_name = "SCENE.glb", value_parser = output::path(|path| output::with_extension(path, &["glb"])))]
     pub(super) output: PathBuf,
-    /// Also write the splats alone, without the mesh, in INRIA's layout
+    /// Also write the splats alone, without the mesh, as a .ply in the layout of INRIA 3DGS
     #[arg(long, value_name = "SPLATS.ply", value_parser = output::path(|path| output::with_extension(path, &["ply"])))]
     pub(super) ply: Option<PathBuf>,
-    /// Folder for report.html, metrics.json and pictures of the held-out views; not with --no-eval or --all-views
+    /// Folder for a report: report.html, metrics.json and an image of each held-out view; not with --no-eval or
+    /// --all-views
     #[arg(long, value_name = "DIR", conflicts_with = "no_eval")]
     pub(super) report: Option<PathBuf>,
     #[command(flatten)]
     pub(super) lpips: eval::LpipsArgs,
-    /// Do not score the held-out views at the end
+    /// Skip scoring the held-out views at the end
     #[arg(long, conflicts_with = "lpips_weights")]
     pub(super) no_eval: bool,
-    /// Train on all photographs: no view is held out, and none is scored
+    /// Train on all photographs; no view is held out, and none is scored
     #[arg(long, conflicts_with_all = ["report", "lpips_weights"])]
     pub(super) all_views: bool,
     #[command(flatten)]
     pub(super) adapter: AdapterArgs,
 
-    /// Iterations of the splats, those for the surface included (INRIA 3DGS: 30000)
+    /// Number of iterations that train splats, including --surface-iterations (INRIA 3DGS: 30000)
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().iterations, help_heading = OPTIMISATION,
           value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) iterations: u32,
-    /// Iterations on the mesh alone, its maps and, after the first eighth, the vertices of one that was found, before it is joined with the
-    /// splats; none without a mesh [default: 9000, as in HERA, and in runs of fewer than 30000 three tenths of --iterations]
+    /// Number of iterations that train the mesh alone, before it is joined with the splats; unused without a mesh
+    /// [default: 9000, as in HERA; three tenths of --iterations if these are fewer than 30000]
+    ///
+    /// The warm-up trains the texture maps of the mesh and, after its first eighth, moves the vertices of a mesh that
+    /// was made from the capture.
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     pub(super) warmup: Option<u32>,
-    /// How splats are added and removed
+    /// Density control: how splats are added and removed
     #[arg(long, value_enum, default_value_t = DensityKind::Mcmc, help_heading = OPTIMISATION)]
     pub(super) density: DensityKind,
-    /// Most splats there may be [default: 1000000, with every --density]; MCMC grows to this many if it is given. Also limited by
-    /// the largest buffer that the adapter binds
+    /// Maximum number of splats, also limited by the largest buffer that the adapter can bind [default: 1000000, with
+    /// every --density]
+    ///
+    /// With --density mcmc, a number that is given here is reached; the default is only a limit.
     #[arg(long, value_name = "N", value_parser = output::at_least_one, help_heading = OPTIMISATION)]
     pub(super) max_splats: Option<usize>,
-    /// Highest degree of spherical harmonics of the splats (INRIA 3DGS: 3)
+    /// Degree of the spherical harmonics of the splats (INRIA 3DGS: 3)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
           value_parser = clap::value_parser!(u32).range(0..=3))]
     pub(super) sh_degree: u32,
-    /// Share of D-SSIM in the loss, the rest is L1 (INRIA 3DGS: 0.2)
+    /// Weight of D-SSIM in the loss; the remainder is the weight of L1 (INRIA 3DGS: 0.2)
     #[arg(long, value_name = "0..1", default_value_t = TrainOptions::default().ssim_weight, value_parser = share,
           help_heading = OPTIMISATION)]
     pub(super) ssim_weight: f32,
-    /// Start of every random sequence. The same seed gives the same scene, to the last bit, on the same adapter and driver, however many
-    /// threads there are and wherever it was resumed
+    /// Seed of all random numbers
+    ///
+    /// The same seed gives the same scene, to the last bit, on the same adapter and driver, regardless of the number of
+    /// threads and of where training was interrupted and resumed.
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().seed, help_heading = OPTIMISATION,
           value_parser = output::whole_number)]
     pub(super) seed: u64,
-    /// Save a checkpoint after every N iterations and at the end of each phase; 0 for none but that of Ctrl-C while it trains,
-    /// so that what is stopped while it is scored begins anew
+    /// Save a checkpoint every N iterations and at the end of each phase; 0 for none
+    ///
+    /// With 0, Ctrl-C still saves one during training, but a run that is stopped while being scored has to start over.
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().checkpoint_every,
           help_heading = OPTIMISATION)]
     pub(super) checkpoint_every: u32,
-    /// Measure PSNR on up to four held-out views, for the progress bar, after every N iterations; 0 for only at the end of each phase
+    /// Measure PSNR on up to four held-out views every N iterations, for the progress bar; 0 for only at the end of
+    /// each phase
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().eval_every, help_heading = OPTIMISATION)]
     pub(super) eval_every: u32,
-    /// Continue from SCENE.glb.checkpoint; give the other options as before. Without this flag such a file is set aside
+    /// Continue from SCENE.glb.checkpoint; give the other options as before
+    ///
+    /// Without this flag, an existing checkpoint is renamed and kept.
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) resume: bool,
-    /// Stop, as by Ctrl-C, when standard input ends: `centaur bench` holds its other end, whichever way it goes
+    /// Stop, as by Ctrl-C, when standard input ends: `centaur bench` holds the other end, and may end in any way
     #[arg(long, hide = true)]
     pub(super) stop_at_eof: bool,
-    /// Filter splats as Mip-Splatting does (Yu et al. 2024), so that the scene can be seen from nearer and farther than the
-    /// photographs: smoothed as far as no photograph tells, and fading instead of growing where smaller than a pixel
+    /// Prevent aliasing with the filters of Mip-Splatting (Yu et al. 2024), for scenes viewed from nearer or farther
+    /// than the photographs
+    ///
+    /// Splats are smoothed as far as no photograph can tell the difference, and splats smaller than a pixel fade
+    /// instead of growing.
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) antialias: bool,
-    /// Begin with pictures of a quarter of the size and grow them, and the number of splats, over the first half of the run, or
-    /// three quarters of --surface-iterations (the idea of DashGaussian)
+    /// Train coarse to fine: start with images of a quarter of the side length and few splats, and increase both
+    /// gradually
+    ///
+    /// They reach full size over the first half of the run, or over three quarters of --surface-iterations (the idea of
+    /// DashGaussian).
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) coarse_to_fine: bool,
-    /// Fit an affine change of colours to each training photograph, for captures whose exposure or white balance varies; where they
-    /// do not it costs quality. Held-out views are rendered without (a row of its own in comparisons)
+    /// Fit an affine colour correction to each training photograph, for captures whose exposure or white balance varies
+    ///
+    /// Costs quality where they do not vary. Held-out views are rendered without correction, so such scores need a row
+    /// of their own in comparisons.
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) exposure: bool,
-    /// Correct the training photographs' poses along, until a surface is made (without a mesh, to the end), for captures whose poses are
-    /// not exact; where they are it may cost quality. The scene's cameras are the corrected ones, --json lists what was corrected
+    /// Refine the camera poses of the training photographs, for captures with inexact poses; may cost quality where
+    /// they are exact
+    ///
+    /// Poses are refined until a surface is made, or to the end with --no-mesh. The scene contains the refined cameras,
+    /// and --json lists the corrections.
     #[arg(long, conflicts_with = "mesh", help_heading = OPTIMISATION)]
     pub(super) refine_poses: bool,
-    /// How far poses may be off, with --refine-poses: about as much as it can correct. The less, the less it costs where they are right
+    /// With --refine-poses, roughly the largest pose error that can be corrected; the smaller, the less it costs where
+    /// poses are right
     #[arg(long, value_name = "DEGREES", default_value_t = TrainOptions::default().pose_reach, value_parser = positive,
           requires = "refine_poses", help_heading = OPTIMISATION)]
     pub(super) pose_reach: f64,
-    /// Part of the splats that an iteration leaves out at random by the end, from none at the beginning, the others being that much more
-    /// opaque: against learning few views by heart (Park et al. 2025) [default: 0.2 up to 12 training views, falling to 0 at 20]
+    /// Fraction of the splats that each iteration drops at random, against overfitting to few views (Park et al. 2025)
+    /// [default: 0.2 for up to 12 training views, falling to 0 at 20]
+    ///
+    /// The fraction grows from 0 at the start to this value at the end; the remaining splats are made more opaque in
+    /// compensation.
     #[arg(long, value_name = "0..0.9", value_parser = dropout, help_heading = OPTIMISATION)]
     pub(super) dropout: Option<f32>,
-    /// Weight in the loss of what is close to the camera: the mean expected disparity of pixels that already match their photograph, times
-    /// the median depth of what views see. Removes dark fog and floaters from air that no photograph looks at: try 0.01 where held-out views
-    /// show them; 0 is off
+    /// Weight of a loss on disparity, which removes dark fog and floaters from space that no photograph looks at; 0 is
+    /// off
+    ///
+    /// The loss is the mean expected disparity of pixels that already match their photograph, times the median depth of
+    /// what the views see. Try 0.01 if held-out views show floaters.
     #[arg(long, value_name = "WEIGHT", default_value_t = TrainOptions::default().disparity_weight, value_parser = finite_not_negative,
           help_heading = OPTIMISATION)]
     pub(super) disparity_weight: f32,
-    /// Update only the splats that an iteration's view sees (faster on large scenes; INRIA 3DGS updates all)
+    /// In each iteration, update only the splats that its view sees: faster on large scenes (INRIA 3DGS updates all)
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) visible_only: bool,
-    /// Update every texel of the maps in every iteration instead of those that its view sees (HERA)
+    /// In each iteration, update every texel of the texture maps, not only those that its view sees (HERA)
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) dense_texels: bool,
-    /// Most floats in splats, maps and vertices together; limits the splats, which MCMC brings up to it, and maps that are not laid out
-    /// anew; for comparisons at equal size
+    /// Maximum number of floats in splats, texture maps and vertices together, for comparisons at equal size
+    ///
+    /// Limits the number of splats, which MCMC grows until the budget is used, and the size of maps that keep their
+    /// first layout (see --texture-size).
     #[arg(long, value_name = "N", help_heading = OPTIMISATION)]
     pub(super) max_floats: Option<usize>,
-    /// As --max-floats, by what they take as f32, in megabytes of 10⁶ bytes
+    /// The limit of --max-floats as a size in megabytes (10⁶ bytes) of 32-bit floats
     #[arg(long, value_name = "MB", conflicts_with = "max_floats", value_parser = positive, help_heading = OPTIMISATION)]
     pub(super) budget_mb: Option<f64>,
 
-    /// Train as if the capture had no points: splats begin at random places that its cameras look at
+    /// Ignore the points of the capture: splats start at random places that its cameras look at
     #[arg(long, help_heading = OPTIMISATION)]
     pub(super) no_points: bool,
 
-    /// Surface to use, in the coordinates of the poses: .glb, .gltf, .obj or .ply. Its vertices and triangles are kept as they
-    /// are, and so are UVs of one material, scaled where they leave 0..1; no shell is added [default: one made from the capture, see --surface]
+    /// Mesh to use as the surface: .glb, .gltf, .obj or .ply, in the coordinates of the camera poses [default: a
+    /// surface made from the capture, see --surface]
+    ///
+    /// Its vertices and triangles are kept unchanged, and so are its UVs if it has one material (scaled if they leave
+    /// 0..1). No shell is added.
     #[arg(long, value_name = "FILE", conflicts_with = "no_mesh", help_heading = MESH)]
     pub(super) mesh: Option<PathBuf>,
-    /// Splats alone
+    /// Train splats alone, without a mesh
     #[arg(long, help_heading = MESH)]
     pub(super) no_mesh: bool,
-    /// What the surface is made of [default: points if half of the views list 100 or more that they see, else splats]
+    /// Source of the surface [default: points if half of the views each list 100 or more visible points, else splats]
     #[arg(long, value_enum, value_name = "splats|points", conflicts_with_all = ["mesh", "no_mesh"], help_heading = MESH)]
     pub(super) surface: Option<SurfaceOf>,
-    /// Of --iterations, those on splats alone before there is a surface, with which it is compared; the rest trains splats and
-    /// mesh together [default: a seventh, at least 400, at most half; half with --refine-poses and with --density inria or absgs]
+    /// Number of --iterations that train splats alone, before a surface is made [default: a seventh, at least 400, at
+    /// most half; half with --refine-poses and with --density inria or absgs]
+    ///
+    /// The surface is compared with these splats; the remaining iterations train splats and mesh together.
     #[arg(long, value_name = "N", help_heading = MESH)]
     pub(super) surface_iterations: Option<u32>,
-    /// Triangles that a surface made from the capture is simplified to (ours); more are left of one of many pieces or holes, which all stay
+    /// Target number of triangles when a surface made from the capture is simplified (our choice); more remain if it
+    /// has many pieces or holes, which are all kept
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().triangles, value_parser = output::at_least_one, help_heading = MESH)]
     pub(super) triangles: usize,
-    /// Whether flat regions of a surface made from the capture are found, made flat and meshed anew with few triangles (not in the paper)
+    /// Detect flat regions of a surface made from the capture, flatten them and remesh them with few triangles (not in
+    /// the paper)
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
     pub(super) planar: Choice,
-    /// Whether what views see past a surface made from the capture, sky and far background, is tried on a sphere far around it, unless
-    /// photographs have alpha or masks or there is no warm-up; its triangles are kept where they are worth it, as all are (not in the paper)
+    /// Add a shell, a sphere far around a surface made from the capture, for sky and distant background seen past it
+    /// (not in the paper)
+    ///
+    /// Not made if photographs have alpha or masks, or without a warm-up. Like all triangles, those of the shell are
+    /// kept only where they are worth it.
     #[arg(long, value_enum, value_name = "auto|off", default_value_t = Choice::Auto, help_heading = MESH)]
     pub(super) shell: Choice,
-    /// Side of the map of colour and opacity in texels; the map of view dependence has a quarter of it [default: 1.5 times the longer image
-    /// side, rounded up to a power of two, 128 to 2048]. For a surface made from the capture it is the most: kept triangles get about two
-    /// texels per pixel, and all maps together a seventh or so of --max-floats or --budget-mb. Where maps stay as they are first laid out
-    /// (--mesh, --warmup 0) they take half of such a budget at most, as far as charts have room
+    /// Side of the texture map of colour and opacity in texels; the map of view dependence has a quarter of it
+    /// [default: 1.5 times the longer image side, rounded up to a power of two, 128 to 2048]
+    ///
+    /// For a surface made from the capture, this is the maximum: its kept triangles get about two texels per pixel, and
+    /// all maps together about a seventh of --max-floats or --budget-mb. Maps that keep their first layout (--mesh,
+    /// --warmup 0) take at most half of such a budget, if their charts then still have room.
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     pub(super) texture_size: Option<u32>,
-    /// Degree of spherical harmonics of the mesh; 0 for no view dependence (ours; HERA does not say)
+    /// Degree of the spherical harmonics of the mesh; 0 for no view dependence (our choice; HERA does not state it)
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().band_degree, help_heading = MESH,
           value_parser = clap::value_parser!(u32).range(0..=3))]
     pub(super) band_degree: u32,
 
-    /// Rule for the order of splats and mesh (HERA: stable)
+    /// Rule that orders splats and mesh by depth (HERA: stable)
     #[arg(long, value_enum, default_value_t = Mode::SurfaceConsistent, help_heading = COMPOSITION)]
     pub(super) mode: Mode,
-    /// How far a mesh pixel must lie in front of a splat to override its order, relative to the extent of the
-    /// cameras; `inf` turns the override off (HERA: 5 cm on heads; 0.01 is ours for static scenes)
+    /// Distance by which a mesh pixel must lie in front of a splat to override its order, relative to the extent of the
+    /// cameras; `inf` turns the override off (HERA: 5 cm on heads; 0.01 is our choice for static scenes)
     #[arg(long, value_name = "LAMBDA", default_value_t = TrainOptions::default().lambda, value_parser = not_negative,
           allow_hyphen_values = true, help_heading = COMPOSITION)]
     pub(super) lambda: f32,
-    /// How many surfaces of the mesh a pixel keeps, the nearest ones: 1, 2 or 4 (HERA sets no limit; opacity saturates after a few). Not the
-    /// layers of an EXR, which `centaur render --layers` writes
+    /// Number of mesh layers that a pixel keeps, the nearest first: 1, 2 or 4 (HERA sets no limit; opacity saturates
+    /// after a few)
+    ///
+    /// Not related to the EXR layers of `centaur render --layers`.
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
           help_heading = COMPOSITION)]
     pub(super) layers: u32,
-    /// What is behind the scene (INRIA 3DGS: black); a random colour per iteration discourages holes
+    /// Background colour behind the scene (INRIA 3DGS: black); a random colour per iteration discourages holes
     #[arg(long, value_enum, default_value_t = Backdrop::Black, help_heading = COMPOSITION)]
     pub(super) background: Backdrop,
 
@@ -212,21 +264,23 @@ const COMPOSITION: &str = "Composition";
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum DensityKind {
-    /// Clone, split, prune and reset by gradient (Kerbl et al. 2023)
+    /// Clone and split by gradient, prune, reset opacities (Kerbl et al. 2023)
     Inria,
-    /// The same, but splats are split where absolute gradients are large (AbsGS, Ye et al. 2024)
+    /// As inria, but split splats where absolute gradients are large (AbsGS, Ye et al. 2024)
     Absgs,
-    /// Move dead splats, grow to --max-splats (Kheradmand et al. 2024)
+    /// Relocate dead splats, add splats up to --max-splats (Kheradmand et al. 2024)
     Mcmc,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum Mode {
-    /// A splat is before or behind a layer as a whole, by the depth where its mean projects; behind where that is outside the picture (HERA)
+    /// Compare each splat as a whole with a mesh layer, at the depth where its mean projects; a splat whose mean is
+    /// outside the image counts as behind (HERA)
     Stable,
-    /// As stable for pixels of the surface that the splat was compared with; other pixels compare depths by themselves
+    /// As stable, but only for pixels of the surface that the splat was compared with; compare depths per pixel
+    /// elsewhere
     SurfaceConsistent,
-    /// Every pixel compares depths by itself; the order flickers as the camera moves
+    /// Compare depths in every pixel; the order flickers as the camera moves
     Direct,
 }
 
@@ -427,7 +481,8 @@ impl Args {
         let mesh = mesh_import::read(file)?;
         let surface = Surface { positions: mesh.positions, triangles: mesh.triangles };
         let stray = misses_points(&surface, capture).then(|| {
-            "lies at hardly any of the capture's points: is it in the frame and the unit of the poses?".to_owned()
+            "is near hardly any of the points of the capture: is it in the frame and unit of the camera poses?"
+                .to_owned()
         });
         let notes = mesh.notes.into_iter().chain(stray).map(|note| format!("{}: {note}", file.display())).collect();
         Ok((MeshSource::Given { surface, corner_uvs: mesh.corner_uvs }, notes))
@@ -461,9 +516,9 @@ fn misses_points(surface: &Surface, capture: &Capture) -> bool {
 /// What a surface is made of.
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum SurfaceOf {
-    /// The depth of the splats after --surface-iterations, fused
+    /// Fused depth of the splats after --surface-iterations
     Splats,
-    /// The capture's points, triangulated in every view
+    /// Points of the capture, triangulated in every view
     Points,
 }
 

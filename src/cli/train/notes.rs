@@ -19,7 +19,7 @@ pub(super) fn in_words(surface: SurfaceOrigin) -> &'static str {
     match surface {
         SurfaceOrigin::Given => "given",
         SurfaceOrigin::Points => "points of the capture",
-        SurfaceOrigin::GuessedPoints => "points of the capture, taken for seen where none is nearer",
+        SurfaceOrigin::GuessedPoints => "points of the capture, taken as visible where no nearer one hides them",
         SurfaceOrigin::Splats => "fused depth of splats",
     }
 }
@@ -46,15 +46,18 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
             "has no points: splats begin at random places that its cameras look at",
         ),
         (args.loading.masks && !capture.has_masks(), "has no masks: nothing is masked"),
-        (!scores && !args.no_eval && !args.all_views, "holds no view out: nothing will be scored"),
-        (shows_motion(capture), "is of several times, and is trained as if all were one: what moves will be blurred"),
+        (!scores && !args.no_eval && !args.all_views, "holds out no view: nothing will be scored"),
+        (
+            shows_motion(capture),
+            "has photographs of different times, but is trained as if taken at once: moving objects will be blurred",
+        ),
     ];
     let said = lacks.into_iter().filter(|(is_so, _)| *is_so);
     let widest = capture.views.iter().map(|view| view.camera.intrinsics()).max_by_key(|k| k.width);
     let large = widest.filter(|k| k.width > USUAL_WIDTH).map(|k| {
         let side = (f64::from(k.longer_side()) * f64::from(USUAL_WIDTH) / f64::from(k.width)).round();
         format!(
-            "has pictures {} pixels wide, as they are trained on: results are usually given for {USUAL_WIDTH} (--max-side {side} or --downscale)",
+            "is trained on photographs {} pixels wide: published results usually use {USUAL_WIDTH} (--max-side {side} or --downscale)",
             k.width
         )
     });
@@ -79,7 +82,11 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
     // Few runs come to what nobody has asked for: those are told at the end.
     let asks = args.max_splats.is_some_and(|asked| asked > most);
     let too_many = asks.then(|| {
-        format!("{}: binds {most} splats of degree {} at most: there will be no more", gpu.adapter(), args.sh_degree)
+        format!(
+            "{}: can bind at most {most} splats of degree {}, which limits --max-splats",
+            gpu.adapter(),
+            args.sh_degree
+        )
     });
     of_capture
         .map(|what| format!("{}: {what}", args.capture.display()))
@@ -120,11 +127,11 @@ fn up_of(cameras: &[Camera]) -> Option<(&'static str, &'static str)> {
 /// scene keeps that world.
 fn lies(args: &Args, capture: &Capture) -> Option<String> {
     let (axis, frame) = up_of(&capture.cameras())?;
-    let how = if axis == "+y" { "upside down" } else { "lying" };
+    let how = if axis == "+y" { "upside down" } else { "lying on its side" };
     let scene = args.output.display();
     Some(format!(
-        "has views for which {axis} is up: what shows glTF with +y up shows the scene {how}; centaur convert {scene} OUT.glb \
-         --axes {frame}:y-down writes one that stands"
+        "was taken with {axis} up: glTF viewers, which have +y up, will show the scene {how}; centaur convert {scene} OUT.glb \
+         --axes {frame}:y-down sets it upright"
     ))
 }
 
@@ -157,11 +164,14 @@ fn shows_motion(capture: &Capture) -> bool {
 pub(super) fn capped(args: &Args, trained: &Trained, gpu: &Gpu) -> Option<String> {
     let grown = trained.scene.splats.len() + trained.occluded_splats;
     if grown >= most_splats(gpu, args.sh_degree) {
-        return Some(format!("{grown} splats are all that {} binds: on another there might be more", gpu.adapter()));
+        return Some(format!(
+            "{grown} splats are the most that {} can bind: another adapter might allow more",
+            gpu.adapter()
+        ));
     }
     let most = args.max_splats.unwrap_or(TrainOptions::MOST_SPLATS);
     let is_held_back = !matches!(args.density, DensityKind::Mcmc) && grown >= most;
-    is_held_back.then(|| format!("there were {most} splats: with a larger --max-splats there would be more"))
+    is_held_back.then(|| format!("the limit of {most} splats was reached: a larger --max-splats would allow more"))
 }
 
 fn why_no_mesh(trained: &Trained) -> String {
@@ -173,8 +183,8 @@ fn why_no_mesh(trained: &Trained) -> String {
         },
         Some(s) if s.kept() > 0 => format!("the {} triangles that were kept had no room in the budget", s.kept()),
         Some(Selection { triangles, unseen, worse, small }) => format!(
-            "of {triangles} triangles {unseen} were seen by too few training views, {worse} showed those worse than splats and {small} \
-             were in pieces too small"
+            "of {triangles} triangles, {unseen} were seen by too few training views, {worse} had larger errors than the splats, and {small} \
+             were in pieces that are too small"
         ),
     }
 }
@@ -188,10 +198,10 @@ pub(super) fn at_the_end(args: &Args, trained: &Trained) -> Option<String> {
             &no_mesh
         }
         (Some(SurfaceOf::Points), Some(SurfaceOrigin::GuessedPoints)) => {
-            "does not say of half of its views or more which points they see: for the surface, each was taken for seen where none is nearer"
+            "does not list the visible points of half of its views or more: for the surface, points that no nearer one hides were taken as visible"
         }
         (Some(SurfaceOf::Points), Some(SurfaceOrigin::Splats)) => {
-            "its points make no surface: it was fused from the depth of splats"
+            "no surface could be made of its points: it was fused from the depth of the splats"
         }
         _ => return None,
     };
@@ -215,7 +225,7 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
         (TrainError::TooFewViews { .. }, _) if !args.all_views => {
             anyhow!("{error}; --all-views holds none out")
         }
-        (TrainError::NotFinite { .. }, _) if has_saved => anyhow!("{error}; the last checkpoint is from before"),
+        (TrainError::NotFinite { .. }, _) if has_saved => anyhow!("{error}; the last checkpoint was saved before this"),
         _ => error.into(),
     }
 }

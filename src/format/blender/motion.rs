@@ -112,8 +112,10 @@ fn camera_rows(
     for time in times.iter().filter(|_| !cameras.is_empty()) {
         let (now, _) = moving.cameras_at(*time)?;
         if !now.iter().map(|(name, _)| name).eq(cameras.iter().map(|(name, _)| name)) {
-            let found = format!("at {time} s there are {} of {}", now.len(), cameras.len());
-            notes.push(format!("cameras keep still: {found}, as one that shears, mirrors or stretches is left out"));
+            let found = format!("at {time} s there are only {} of {}", now.len(), cameras.len());
+            notes.push(format!(
+                "cameras are not animated: {found}, because cameras that shear, mirror or stretch are left out"
+            ));
             return Ok(None);
         }
         for ((_, now), (_, rest)) in now.iter().zip(cameras) {

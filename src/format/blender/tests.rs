@@ -144,7 +144,10 @@ fn a_camera_that_drops_out_leaves_all_still_and_is_noted() {
         animation["channels"].as_array_mut().unwrap().push(channel);
     });
     assert_eq!((&told["cameras"], &told["frames"], rows), (&json!(false), &json!(3), None));
-    assert!(notes.last().unwrap().starts_with("cameras keep still: at 0.2 s there are 1 of 2, "), "{notes:?}");
+    assert!(
+        notes.last().unwrap().starts_with("cameras are not animated: at 0.2 s there are only 1 of 2, "),
+        "{notes:?}"
+    );
 }
 
 #[test]

@@ -461,7 +461,10 @@ fn animations_that_are_none_are_refused() {
     let channels = json!([{ "sampler": 0, "target": { "node": 1, "path": "scale" } }]);
     let path = gltf_with(folder.path(), &floats, &json!([{ "input": 0, "output": 1 }]), &channels);
     let without = read_cameras(&path, &Sampling { fps: Some(2.0), ..Sampling::default() }).unwrap();
-    assert_eq!(without.notes[0], "/nodes/1: camera left out: its node shears, mirrors or stretches, at 0.5 s");
+    assert_eq!(
+        without.notes[0],
+        "/nodes/1: camera left out: its node has shear, mirroring or non-uniform scale, at 0.5 s"
+    );
     assert_eq!(without.cameras.len(), 1);
 }
 
@@ -548,7 +551,7 @@ def Camera "resting" { }
         .replace("def Camera \"resting\" { }", "");
     std::fs::write(&path, sheared.replace("metersPerUnit = 0.01", "")).unwrap();
     let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
-    assert!(error.contains("expected a camera, found /rig/shot: camera left out: its transform shears"), "{error}");
+    assert!(error.contains("expected a camera, found /rig/shot: camera left out: its transform has shear"), "{error}");
 }
 
 #[test]

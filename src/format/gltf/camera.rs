@@ -44,12 +44,12 @@ pub(super) fn read(
 ) -> Result<(Camera, Option<String>), String> {
     let camera = document.as_json().cameras.get(index).ok_or("no such camera")?;
     let Decomposed { rotation, translation, .. } =
-        similarity(transform).ok_or("its node shears, mirrors or stretches")?;
+        similarity(transform).ok_or("its node has shear, mirroring or non-uniform scale")?;
     let pose = frame::camera_of_node(rotation, translation);
 
     let why = match exact(camera) {
         None => "without an image size".to_owned(),
-        Some(Err(reason)) => format!("whose own numbers are not read ({reason})"),
+        Some(Err(reason)) => format!("whose exact intrinsics cannot be read ({reason})"),
         Some(Ok(c)) if !Intrinsics::is_size(c.width, c.height) => {
             return Err(format!("its image of {}×{} pixels is empty or too large", c.width, c.height));
         }
@@ -59,10 +59,11 @@ pub(super) fn read(
                 let (rotation, translation) = c.pose().filter(|own| is_unmoved(*own, pose)).unwrap_or(pose);
                 return Camera::new(k, rotation, translation).map(|c| (c, None)).map_err(|e| e.to_string());
             }
-            "whose aspect ratio is not that of its own numbers".to_owned()
+            "whose aspect ratio differs from that of its exact intrinsics".to_owned()
         }
     };
-    let perspective = camera.perspective.as_ref().ok_or("it is orthographic, and cameras here are pinholes")?;
+    let perspective =
+        camera.perspective.as_ref().ok_or("it is orthographic, and only perspective cameras are supported")?;
     let yfov = f64::from(perspective.yfov);
     if !(yfov > 0.0 && yfov < std::f64::consts::PI) {
         return Err(format!("its yfov of {yfov} is not between 0 and π"));
@@ -85,7 +86,8 @@ pub(super) fn read(
 /// which they cannot be read.
 fn exact(camera: &gltf::json::Camera) -> Option<Result<ExactCamera, String>> {
     let extras = serde_json::from_str::<Value>(camera.extras.as_ref()?.get()).ok()?;
-    let read = from_value::<ExactCamera>(extras.get(EXTRAS)?, &format!("extras/{EXTRAS}"), "the numbers of a camera");
+    let read =
+        from_value::<ExactCamera>(extras.get(EXTRAS)?, &format!("extras/{EXTRAS}"), "the intrinsics of a camera");
     Some(read.map_err(|fault| {
         let (location, _, found) = fault.into_parts();
         short(&format!("{location}{found}"))

@@ -312,7 +312,7 @@ fn nodes_made_invisible_are_left_out() {
             "extensionsRequired": ["KHR_node_visibility"],
         }));
         let file = file.unwrap();
-        assert_eq!(file.notes[0], "1 node made invisible left out, with what is below");
+        assert_eq!(file.notes[0], "1 node left out because invisible, with all below");
         assert!(file.cameras.is_empty());
         file.scene.meshes[0].triangles().len()
     };
@@ -376,7 +376,7 @@ fn a_document_without_scenes_shows_all_its_nodes() {
     });
     let file = b.read(document.clone()).unwrap();
     assert_eq!(file.scene.meshes[0].triangles().len(), 2);
-    assert_eq!(file.notes[0], "/scenes: there are none: all nodes are shown");
+    assert_eq!(file.notes[0], "/scenes: there are none, so all nodes are shown");
     // Moved, it is written with one, below which all of it is.
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -611,7 +611,7 @@ fn versions_that_are_not_understood_are_refused() {
         assert_eq!(read(asset), Ok(()));
     }
     let refused = |asset: Value| read(asset).unwrap_err();
-    let expected = "glTF 2.0, or a later 2 that it can be read as";
+    let expected = "glTF 2.0, or a later 2.x that can be read as 2.0";
     assert_eq!(refused(json!({ "version": "3.0" })), format!("f: /asset/version: expected {expected}, found `3.0`"));
     for asset in [json!({ "version": "1.0" }), json!({ "version": "new" }), json!({ "version": "20.0" })] {
         assert!(refused(asset).starts_with("f: /asset/version: expected"));

@@ -340,7 +340,7 @@ impl SceneContract {
         let mode = OrderMode::ALL.into_iter().find(|mode| mode.name() == self.mode);
         let mut note_unknown = |key: &str, token: &str, default: &str| {
             let token = shown(token.as_bytes());
-            notes.push(format!("{at}/{key}: {token} is not known here, {default} is taken, the default"));
+            notes.push(format!("{at}/{key}: {token} is unknown, the default {default} is used"));
         };
         if mode.is_none() {
             note_unknown("mode", &self.mode, &stable());

@@ -43,10 +43,10 @@ impl Single {
     fn why(&self, index: usize, node: &Value) -> Option<&'static str> {
         let mesh = node.get("mesh").and_then(Value::as_u64);
         if node.get("skin").is_some() {
-            return Some("its skin has one place");
+            return Some("it has a skin");
         }
         let is_bound = self.nodes.contains(&(index as u64)) || mesh.is_some_and(|mesh| self.meshes.contains(&mesh));
-        is_bound.then_some("splats are bound to one")
+        is_bound.then_some("splats are bound to it")
     }
 }
 
@@ -60,7 +60,7 @@ pub(in crate::format) fn copies(
     let Some(value) = node.extension_value(INSTANCING).filter(|_| node.mesh().is_some()) else { return Ok(None) };
     let at = format!("/nodes/{}", node.index());
     if let Some(why) = single.why(node.index(), &asset.root["nodes"][node.index()]) {
-        notes.push(format!("{at}: of the copies of {INSTANCING} one is shown, where the node is: {why}"));
+        notes.push(format!("{at}: only one instance of {INSTANCING} is shown, at the node itself: {why}"));
         return Ok(None);
     }
     let at = format!("{at}/extensions/{INSTANCING}");

@@ -153,8 +153,7 @@ fn of_what_has_a_skin_one_copy_is_shown() {
         "extensionsUsed": [INSTANCING],
     });
     let file = b.read(document.clone()).unwrap();
-    let said =
-        format!("/nodes/0: of the copies of {INSTANCING} one is shown, where the node is: its skin has one place");
+    let said = format!("/nodes/0: only one instance of {INSTANCING} is shown, at the node itself: it has a skin");
     assert!(file.notes.contains(&said) && file.scene.meshes[0].triangles().len() == 1, "{:?}", file.notes);
     let lost: Vec<String> = remainder(&document, false).into_iter().map(|part| part.what).collect();
     assert!(lost.contains(&format!("the extension {INSTANCING}")), "{lost:?}");

@@ -118,7 +118,7 @@ const UNSHOWN: [&str; 13] = [
 /// supported ones would be too long for a line.
 pub(in crate::format) fn expected_for(required: &str) -> Option<&'static str> {
     let is_known = UNDERSTOOD.into_iter().chain(UNSHOWN).any(|name| name == required);
-    (!is_known).then_some("an extension that is understood here, or that changes nothing of what is shown")
+    (!is_known).then_some("a supported extension, or one that does not change what is shown")
 }
 
 impl Asset {
@@ -253,7 +253,7 @@ impl Asset {
             if !is_understood {
                 return Err(Fault::pointer(
                     at,
-                    "glTF 2.0, or a later 2 that it can be read as",
+                    "glTF 2.0, or a later 2.x that can be read as 2.0",
                     shown(text.as_bytes()),
                 ));
             }

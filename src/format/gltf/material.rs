@@ -91,9 +91,11 @@ pub(super) fn maps(
                 return exact(asset, &radiance, harmonics, &at, budget, notes);
             };
             let token = shown(token.as_bytes());
-            notes.push(format!("{at}/{key}: {token} is not known here; the core material's colour is taken"));
+            notes.push(format!("{at}/{key}: {token} is unknown, the colour of the core material is used"));
         } else if radiance.opacity.is_some() {
-            notes.push(format!("{at}/opacity: not read without sphericalHarmonics; the core material's is taken"));
+            notes.push(format!(
+                "{at}/opacity: not read without sphericalHarmonics, the opacity of the core material is used"
+            ));
         }
     }
     base_colour(asset, material, (space, [1.0; 4]), (budget, made), notes)
@@ -219,7 +221,7 @@ fn exact(
         }
     };
     if borders_differ {
-        notes.push(format!("{at}: all maps go on beyond their borders as that of coefficient 0 does"));
+        notes.push(format!("{at}: all maps use the wrap mode of the map of coefficient 0"));
     }
     Ok(Maps { atlas: Atlas::new(base, bands).map_err(refused)?, uv, base: None })
 }
@@ -387,7 +389,9 @@ fn covered(light: Option<Placed>, cover: Option<Placed>, at: &str, notes: &mut V
         Some((alpha, place)) if (place, alpha.width, alpha.height) == (uv, texels.width, texels.height) => {
             texels.rgba.iter_mut().zip(&alpha.rgba).for_each(|(texel, alpha)| texel[3] = alpha[3]);
         }
-        Some(_) => notes.push(format!("{at}: its opacity has another size or place than its emission and is left out")),
+        Some(_) => notes.push(format!(
+            "{at}: its opacity map has another size or other texture coordinates than its emission map and is left out"
+        )),
         None => {}
     }
     Some((texels, uv))
@@ -408,7 +412,7 @@ fn base_colour(
     // Maps are unlit; they cannot represent lighting and specular reflection.
     if material.extension_value(UNLIT).is_none() {
         let what = if emission.is_some() { "emission" } else { name };
-        notes.push(format!("{at}: shown by its {what} alone, unlit"));
+        notes.push(format!("{at}: only its {what} is shown, unlit"));
     }
     let [r, g, b] = emission.unwrap_or([r, g, b]);
     let factor = [r, g, b, alpha];

@@ -145,7 +145,7 @@ fn what_is_cut_out_of_the_one_layer_is_noted() {
         file.unwrap().notes
     };
     let layers = |layers: u32| json!({ HYBRID: { "colorSpace": "srgb_rec709_display", "layers": layers } });
-    let said = "/materials/0: what its mask cuts out takes up the one layer stated: what is behind may be missing";
+    let said = "/materials/0: areas that its alpha mask cuts out use up the single layer stated: surfaces behind them may be missing";
     assert_eq!(notes(0.2, layers(1)), [said]);
     assert_eq!(notes(0.2, json!({ HYBRID: { "colorSpace": "srgb_rec709_display" } })), [said], "one is the default");
     for (alpha, stated) in [(0.2, layers(2)), (0.9, layers(1)), (0.2, json!({}))] {
@@ -315,11 +315,11 @@ fn diffuse_colours_take_the_place_of_base_colours() {
     // Half the light is 0.735 in sRGB.
     near(&colour, &[0.735_357, 0.2, 0.0, 64.0 / 255.0], 1e-5);
     assert_eq!(uvs, UVS.map(|uv| Vec2::from(uv) / 2.0 + Vec2::new(0.25, 0.0)));
-    assert_eq!(notes, ["/materials/0: shown by its diffuse colour alone, unlit"]);
+    assert_eq!(notes, ["/materials/0: only its diffuse colour is shown, unlit"]);
     // What has no picture of its own, or is black, is shown by what it emits.
     let (colour, _, notes) = read(json!({ "diffuseFactor": [1, 1, 1, 0.25] }), json!([0.5, 1, 1]));
     near(&colour, &[0.735_357, 0.2, 0.0, 0.25], 1e-5);
-    assert_eq!(notes, ["/materials/0: shown by its emission alone, unlit"]);
+    assert_eq!(notes, ["/materials/0: only its emission is shown, unlit"]);
     // A texture that is not there.
     let (colour, _, notes) =
         read(json!({ "diffuseFactor": [1, 0, 0, 1], "diffuseTexture": texture(7) }), json!([0, 0, 0]));
@@ -375,7 +375,10 @@ fn one_colour_of_all_vertices_is_a_factor_of_a_texture() {
     near(&shown(tinted, 1), &[0.735_357, 0.2, 0.0, 0.0], 1e-5);
     near(&shown(plain, 0), &[1.0, 0.2, 0.0, 128.0 / 255.0], 1e-5);
     let file = pictured(&b, view, &[varied], &material, &json!({}));
-    assert_eq!(file.notes, ["/nodes/0: colours of vertices beside a texture are left out, as they differ"]);
+    assert_eq!(
+        file.notes,
+        ["/nodes/0: vertex colours of a textured mesh are left out, because they are not all equal"]
+    );
     near(&shown(&file.scene.meshes[0], 0), &[1.0, 0.2, 0.0, 128.0 / 255.0], 1e-5);
 }
 
@@ -398,7 +401,7 @@ fn samplers_of_sharp_texels_are_noted() {
         "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "baseColorFactor": [0, 0, 0, 1] },
     });
     let notes = pictured(&b, view, &primitives, &glowing, &json!({ "magFilter": 9728 })).notes;
-    assert_eq!(notes, ["/materials/0: shown by its emission alone, unlit", note]);
+    assert_eq!(notes, ["/materials/0: only its emission is shown, unlit", note]);
 }
 
 #[test]
@@ -500,7 +503,7 @@ fn unlit_materials_are_taken_over_without_a_note() {
         })
     };
     assert!(b.read(document(json!({ "KHR_materials_unlit": {} }))).unwrap().notes.is_empty());
-    assert_eq!(b.read(document(json!({}))).unwrap().notes, ["/materials/0: shown by its base colour alone, unlit"]);
+    assert_eq!(b.read(document(json!({}))).unwrap().notes, ["/materials/0: only its base colour is shown, unlit"]);
 }
 
 /// As Blender writes a picture that is plugged into the emission, and a lamp; what has a picture of its own is shown by that.
@@ -528,7 +531,7 @@ fn emission_is_shown_where_there_is_nothing_else() {
     }));
     // Half the light is 0.735 in sRGB.
     near(&color, &[0.735_357, 0.2, 0.0, 0.25], 1e-5);
-    assert_eq!(notes, ["/materials/0: shown by its emission alone, unlit"]);
+    assert_eq!(notes, ["/materials/0: only its emission is shown, unlit"]);
     let black = json!({ "baseColorFactor": [0, 0, 0, 1] });
     let strength = json!({ "KHR_materials_emissive_strength": { "emissiveStrength": 0.5 } });
     let lamp = json!({ "emissiveFactor": [1, 0, 0], "pbrMetallicRoughness": black, "extensions": strength });
@@ -544,7 +547,7 @@ fn emission_is_shown_where_there_is_nothing_else() {
         })
     };
     let (_, notes) = read(both(json!([1, 1, 1, 1])));
-    assert_eq!(notes[0], "/materials/0: shown by its base colour alone, unlit");
+    assert_eq!(notes[0], "/materials/0: only its base colour is shown, unlit");
     // A picture whose alpha covers what it emits: the factor of its colour is black.
     let covered = both(json!([0, 0, 0, 1]));
     near(&read(covered.clone()).0, &[0.735_357, 0.2, 0.0, 128.0 / 255.0], 1e-5);

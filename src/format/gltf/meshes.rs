@@ -238,7 +238,7 @@ impl<'a> Meshes<'a> {
             }
             if material.alpha_mode() == AlphaMode::Mask && self.stated_layers == Some(1) && has_holes(&maps.atlas) {
                 notes.push(format!(
-                    "{name}what its mask cuts out takes up the one layer stated: what is behind may be missing"
+                    "{name}areas that its alpha mask cuts out use up the single layer stated: surfaces behind them may be missing"
                 ));
             }
             self.maps.insert(index, maps);
@@ -273,7 +273,7 @@ impl<'a> Meshes<'a> {
                         let floats = maps.atlas.floats() as u64;
                         if self.tinted_floats + floats > MAX_TINTED_FLOATS {
                             notes.push(format!(
-                                "{at}: the colour of vertices beside a texture is left out, as one of too many"
+                                "{at}: the vertex colour of a textured mesh is left out, because there are too many different ones"
                             ));
                             return Ok(group);
                         }
@@ -287,7 +287,9 @@ impl<'a> Meshes<'a> {
                 Some(colour) => group.atlas = Some(plain(base, colour).map_err(|e| Fault::from(e).under(&at))?),
                 None if colors.is_empty() => {}
                 None if base.is_textured => {
-                    notes.push(format!("{at}: colours of vertices beside a texture are left out, as they differ"));
+                    notes.push(format!(
+                        "{at}: vertex colours of a textured mesh are left out, because they are not all equal"
+                    ));
                 }
                 None => {
                     let texels: Vec<[f32; 4]> = colors.iter().map(|c| base.texel(*c)).collect();
@@ -306,7 +308,7 @@ impl<'a> Meshes<'a> {
         let seen_by = if node.skin().is_some() { self.frame } else { transform };
         if maps.atlas.sh_degree() > 0 && seen_by != DMat4::IDENTITY {
             let turn = orthogonal(seen_by).ok_or_else(|| {
-                let expected = "a transform with an inverse above a mesh with view-dependent colour";
+                let expected = "an invertible transform above a mesh with view-dependent colour";
                 Fault::pointer(&at, expected, "one without")
             })?;
             group.turn = Some(turn).filter(|turn| *turn != DMat3::IDENTITY);

@@ -168,7 +168,7 @@ fn read_as_stored(path: &Path, options: &ReadOptions<'_>) -> Result<(Content, So
         });
         content.notes.extend(moving.overruled().into_iter().chain(moving.outside([time; 2])));
         if moving.is_still() {
-            content.notes.push(format!("/animations: there are none: at {time} s it is shown as it rests"));
+            content.notes.push(format!("/animations: there are none: at {time} s the scene is in its rest pose"));
         }
         let posed = moving.scene(&content.scene, DMat4::IDENTITY, time);
         content.scene = posed.map_err(|e| located(e.into()))?;

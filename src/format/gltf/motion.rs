@@ -211,7 +211,7 @@ impl Motion {
     pub(super) fn overruled(&self) -> Option<String> {
         let (some, all) = (self.overruled, self.clips.len());
         (some > 0).then(|| {
-            format!("/animations: {some} of {all} move what one before them moves: there the first is played; --animation says which")
+            format!("/animations: {some} of {all} move something that an earlier one moves: there the earlier one is played; --animation selects one")
         })
     }
 
@@ -223,7 +223,8 @@ impl Motion {
                 if self.faults.len() > 1 { format!(", and {} more", self.faults.len() - 1) } else { String::new() };
             format!("{location}not played{others}: expected {expected}, found {found}")
         });
-        let left_out = (self.left_out > 0).then(|| format!("/animations: not asked for, left out: {}", self.left_out));
+        let left_out =
+            (self.left_out > 0).then(|| format!("/animations: not selected and left out: {}", self.left_out));
         fault.into_iter().chain(left_out).collect()
     }
 

@@ -108,7 +108,7 @@ impl Moving {
         let [first, last] = self.range();
         let is_outside = !self.is_still() && (start < first - 1e-3 || end > last + 1e-3);
         is_outside.then(|| {
-            format!("/animations: last from {first:.3} to {last:.3} s: beyond that all is as at the nearer end")
+            format!("/animations: last from {first:.3} to {last:.3} s: outside, the scene is as at the nearer end")
         })
     }
 

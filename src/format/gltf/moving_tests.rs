@@ -498,9 +498,8 @@ fn weights_are_as_many_as_targets_and_times_grow() {
     assert!(!file.notes.iter().any(|note| note.contains("before them")), "{:?}", file.notes);
     // Where they are played.
     let said = file.source.unwrap().played([0.0, 5.0]);
-    let several =
-        "/animations: 1 of 2 move what one before them moves: there the first is played; --animation says which";
-    assert_eq!(said, [several, "/animations: last from 0.000 to 2.000 s: beyond that all is as at the nearer end"]);
+    let several = "/animations: 1 of 2 move something that an earlier one moves: there the earlier one is played; --animation selects one";
+    assert_eq!(said, [several, "/animations: last from 0.000 to 2.000 s: outside, the scene is as at the nearer end"]);
     let document = json!({
         "meshes": [{ "primitives": [{ "attributes": attributes }] }], "nodes": [{ "mesh": 0 }], "animations": [late],
     });
@@ -529,7 +528,9 @@ fn what_does_not_move_says_so() {
     let file = bound("node", |document| {
         document.as_object_mut().unwrap().remove("animations");
     });
-    assert!(file.at(2.0).notes.contains(&"/animations: there are none: at 2 s it is shown as it rests".to_owned()));
+    assert!(
+        file.at(2.0).notes.contains(&"/animations: there are none: at 2 s the scene is in its rest pose".to_owned())
+    );
 }
 
 #[test]

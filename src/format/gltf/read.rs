@@ -164,13 +164,13 @@ fn least_near(document: &gltf::Document) -> f32 {
 pub(in crate::format) fn not_placed(asset: &Asset) -> Result<Vec<String>, Fault> {
     let mut notes = vec![];
     if asset.document.nodes().len() > 0 && !has_scenes(&asset.root) {
-        notes.push("/scenes: there are none: all nodes are shown".to_owned());
+        notes.push("/scenes: there are none, so all nodes are shown".to_owned());
     }
     let all = all_placements_by(&asset.document, local)?;
     match all.iter().filter(|placed| placed.visibility == Visibility::MadeInvisible).count() {
         0 => {}
-        1 => notes.push("1 node made invisible left out, with what is below".to_owned()),
-        n => notes.push(format!("{n} nodes made invisible left out, with what is below")),
+        1 => notes.push("1 node left out because invisible, with all below".to_owned()),
+        n => notes.push(format!("{n} nodes left out because invisible, with all below")),
     }
     Ok(notes)
 }

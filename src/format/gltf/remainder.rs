@@ -85,7 +85,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant::still(format!("the attributes {}", names.join(", "))));
     }
     if materials.iter().any(has_other_textures) {
-        found.push(Remnant::still("textures for light and shine".to_owned()));
+        found.push(Remnant::still("textures for shading".to_owned()));
     }
     let is_in_part = instancing::is_in_part(root);
     let is_taken_over = |name: &str| is_taken_over(name) || name == INSTANCING && !is_in_part;

@@ -227,7 +227,7 @@ fn what_a_material_does_not_show_is_lost() {
     assert_eq!(lost(&colors, json!({ "extensions": { HYBRID: exact } })), ["the attributes COLOR_0, TEXCOORD_0"]);
     assert_eq!(lost(&["POSITION", "COLOR_0", "COLOR_1"], json!({})), ["the attributes COLOR_1"]);
 
-    let (texture, unshown) = (json!({ "index": 0 }), ["textures for light and shine"]);
+    let (texture, unshown) = (json!({ "index": 0 }), ["textures for shading"]);
     let mut shiny = based(texture.clone());
     shiny["normalTexture"] = texture.clone();
     shiny["pbrMetallicRoughness"]["metallicRoughnessTexture"] = texture.clone();

@@ -82,7 +82,7 @@ fn splats_of_early_drafts() {
     let attribute = |name: &str| full[&format!("KHR_gaussian_splatting:{name}")].clone();
     let old = json!({ "POSITION": full["POSITION"], "_SCALE": attribute("SCALE"), "_ROTATION": attribute("ROTATION"), "COLOR_0": colour });
     let file = b.read(splat_document(old.as_object().unwrap(), json!({}))).unwrap();
-    assert!(file.notes[0].contains("of a draft of the extension"), "{:?}", file.notes);
+    assert!(file.notes[0].contains("for a draft of the extension"), "{:?}", file.notes);
     near(&sh::rgb_from_dc(file.scene.splats.sh_of(0)[0]), &[1.0, 0.2, 0.0], 1e-6);
     assert!((activation::opacity(file.scene.splats.opacity_logits()[0]) - 0.2).abs() < 1e-6);
     let left_out = |attributes: &Value, khr: Value| {
@@ -211,7 +211,7 @@ fn splats_without_data_are_refused_beside_what_is_unknown() {
     let mut of = khr();
     of["extensions"] = json!({ "OTHER_compression": {} });
     assert!(
-        b.read(splat_document(&attributes, of.clone())).unwrap().notes[0].contains("`OTHER_compression` is not known")
+        b.read(splat_document(&attributes, of.clone())).unwrap().notes[0].contains("`OTHER_compression` is unknown")
     );
     let position = usize::try_from(attributes["POSITION"].as_u64().unwrap()).unwrap();
     b.accessors[position].as_object_mut().unwrap().remove("bufferView");

@@ -64,7 +64,9 @@ pub(super) fn read(
         return Err(Fault::pointer(at_khr, "a kernel and a colorSpace", "one of them"));
     }
     if is_draft {
-        notes.push(format!("{at_khr}: of a draft of the extension: taken for ellipses in the scene's colour space"));
+        notes.push(format!(
+            "{at_khr}: written for a draft of the extension: read as ellipses in the scene's colour space"
+        ));
     }
     if primitive.mode() != gltf::mesh::Mode::Points {
         return Err(Fault::pointer(format!("{at}/mode"), "0 (POINTS)", format!("{:?}", primitive.mode())));
@@ -79,7 +81,7 @@ pub(super) fn read(
                 format!("accessors without data beside {}", shown(name.as_bytes())),
             ));
         }
-        notes.push(format!("{at_khr}: `{name}` is not known here; the attributes are read"));
+        notes.push(format!("{at_khr}: `{name}` is unknown, the attributes are read"));
     }
     match khr.extensions.get(SPZ) {
         Some(value) => {
@@ -118,7 +120,8 @@ fn decompress(
             Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
         })?;
     let antialiased =
-        "trained with anti-aliasing, which glTF says of the scene: small splats look too strong".to_owned();
+        "trained with anti-aliasing, which glTF can state for whole scenes only: small splats look too strong"
+            .to_owned();
     let found = found.into_iter().chain(pixel_filter.normalized.then_some(antialiased));
     notes.extend(found.map(|note| format!("{at}: {note}")));
     let declared = asset.positions(id, primitive).map_or(splats.len(), |a| a.count());

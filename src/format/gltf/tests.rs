@@ -121,7 +121,7 @@ fn choices_that_are_not_known_give_way_to_defaults() {
     };
     for (key, default) in [("mode", "stable"), ("sortKey", "viewZ")] {
         let (note, found) = changed(&format!("/scenes/0/extensions/{hybrid}/{key}"), "other");
-        assert_eq!(note, format!("`other` is not known here, {default} is taken, the default"));
+        assert_eq!(note, format!("`other` is unknown, the default {default} is used"));
         let mode = if key == "mode" { crate::scene::OrderMode::Stable } else { scene.composition.mode };
         assert_eq!(found.composition, Composition { mode, ..scene.composition });
     }
@@ -132,7 +132,7 @@ fn choices_that_are_not_known_give_way_to_defaults() {
     assert_eq!(found.meshes, scene.meshes);
     for key in ["sphericalHarmonics/frame", "opacity/activation"] {
         let (note, found) = changed(&of_material(key), "other");
-        assert_eq!(note, "`other` is not known here; the core material's colour is taken");
+        assert_eq!(note, "`other` is unknown, the colour of the core material is used");
         assert_eq!((found.meshes[0].atlas().sh_degree(), scene.meshes[0].atlas().sh_degree()), (0, 1));
     }
 }
@@ -183,7 +183,11 @@ fn a_lens_that_was_changed_is_taken() {
     assert_eq!((wide.width, wide.height, wide.cx, wide.cy), (k.width, k.height, k.cx, k.cy));
     let other = changed("aspectRatio", 2.0);
     assert_eq!(other.cameras[0].1.intrinsics().width, 2160);
-    assert!(other.notes[0].contains("whose aspect ratio is not that of its own numbers"), "{:?}", other.notes);
+    assert!(
+        other.notes[0].contains("whose aspect ratio differs from that of its exact intrinsics"),
+        "{:?}",
+        other.notes
+    );
 }
 
 /// As the extension's text lists them; whoever writes these need not know where in the capture the camera is.
@@ -207,7 +211,7 @@ fn six_numbers_of_a_camera_are_enough() {
     let said = |damage: &dyn Fn(&mut Value)| {
         let notes = read(damage).1;
         assert_eq!(notes.len(), 1, "{notes:?}");
-        assert!(notes[0].contains(": a camera whose own numbers are not read (extras/centaur"), "{notes:?}");
+        assert!(notes[0].contains(": a camera whose exact intrinsics cannot be read (extras/centaur"), "{notes:?}");
         notes[0].clone()
     };
     assert!(said(&|own| drop(own.as_object_mut().unwrap().remove("cx"))).contains("centaur: missing field `cx`)"));
@@ -287,7 +291,7 @@ fn foreign_nodes_turn_splats_and_their_harmonics() {
     }
     json["nodes"][0]["scale"] = json!([1, 0, 2]);
     let message = read_bytes(&with_json(&glb, &json)).unwrap_err();
-    assert_eq!(message, "f: /nodes/0: expected a transform with an inverse above splats, found one without");
+    assert_eq!(message, "f: /nodes/0: expected an invertible transform above splats, found one without");
 }
 
 #[test]

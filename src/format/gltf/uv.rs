@@ -104,7 +104,7 @@ impl Unrolling {
 }
 
 /// Note on a texture that stays unrepeated.
-const ONCE: &str = "a texture that repeats too often is shown once: beyond its borders its edge goes on";
+const ONCE: &str = "a texture that repeats too often is shown once, and its edge is extended beyond its borders";
 
 /// Base and band maps.
 fn maps(atlas: &Atlas) -> impl Iterator<Item = &Texture> {

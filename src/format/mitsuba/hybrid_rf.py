@@ -532,7 +532,7 @@ def camera_index(labels, text):
     """Index of the camera of this name, or else of this number."""
     if not labels:
         # As `centaur convert` has noted.
-        raise LookupError('there are no cameras; a picture needs a <sensor>')
+        raise LookupError('there are no cameras: add a <sensor> to render images')
     if text in labels:
         return labels.index(text)
     if text.isdecimal() and len(text) < 10 and int(text) < len(labels):

@@ -84,7 +84,7 @@ fn hybrid_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String
     }
     if is_hybrid(scene) && scene.composition.mode != OrderMode::Direct {
         let mode = scene.composition.mode.name();
-        notes.push(format!("splats and surfaces are in the order of depth along every ray, not by the mode `{mode}`"));
+        notes.push(format!("splats and surfaces are ordered by depth along every ray, not by mode `{mode}`"));
     }
     notes.extend(shared_notes(scene, cameras));
     notes
@@ -92,14 +92,14 @@ fn hybrid_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String
 
 fn stock_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String> {
     let mut notes = vec![
-        "splats are in the order in which rays enter them, with SH by the ray, opacity up to 0.9999, over black, \
+        "splats are ordered by where rays enter them, with SH evaluated along the ray, opacity up to 0.9999, over black, \
          and the film has no alpha"
             .to_owned(),
     ];
     let skewed = |k: &crate::scene::Intrinsics| (k.fx / k.fy - 1.0).abs() > 1e-9;
     let count = cameras.iter().filter(|(_, camera)| skewed(camera.intrinsics())).count();
     if count > 0 {
-        notes.push(format!("{count} camera(s) have pixels that are not square; Mitsuba's are: fx is taken for both"));
+        notes.push(format!("{count} camera(s) have pixels that are not square, which Mitsuba does not support: fx is used for both axes"));
     }
     notes.extend(shared_notes(scene, cameras));
     notes
@@ -108,7 +108,7 @@ fn stock_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String>
 fn shared_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String> {
     let mut notes = vec![];
     if cameras.is_empty() {
-        notes.push("there are no cameras; a picture needs a <sensor>".to_owned());
+        notes.push("there are no cameras: add a <sensor> to render images".to_owned());
     }
     let count = scene.splats.len();
     if count > MANY_SPLATS {
@@ -118,8 +118,8 @@ fn shared_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String
 }
 
 /// Cost of many splats: for a million, in one shell each, 2.9 GB and 196 s were measured.
-const COST: &str = "Mitsuba takes about 3 GB of memory and 3 minutes (512×512 pixels, 2 cores) per million; splats are given \
-                    one shell instead of two, so that some of those that overlap may be missed";
+const COST: &str = "Mitsuba takes about 3 GB of memory and 3 minutes (512×512 pixels, 2 cores) per million splats, which get \
+                    one shell instead of two, so that some that overlap may be missed";
 
 fn hybrid(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> Element {
     let c = &scene.composition;

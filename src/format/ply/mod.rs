@@ -235,11 +235,11 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     let scales = vertex.columns(["scale_0", "scale_1"])?;
     let thickness = vertex.column("scale_2");
     if thickness.is_none() {
-        notes.push(format!("scale_2 is not there, as of 2DGS: splats are flat, {FLAT:e} thick"));
+        notes.push(format!("scale_2 is missing, as in files of 2DGS: splats are flat, {FLAT:e} thick"));
     }
     if vertex.scalar(BINDING).is_some() {
         notes.push(format!(
-            "{BINDING}: of GaussianAvatars: positions, rotations and scales are relative to triangles of a mesh that is not here; they are read as they are"
+            "{BINDING}: from GaussianAvatars: positions, rotations and scales are relative to triangles of a mesh that is not in this file, and are read unchanged"
         ));
     }
     let wxyz = vertex.columns(["rot_0", "rot_1", "rot_2", "rot_3"])?;
@@ -317,7 +317,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
         notes.push("nx, ny, nz: normals are left out".to_owned());
     }
     if rounding > 1e-6 * diagonal(splats.means()) {
-        notes.push(format!("positions in double precision are rounded to single, by {rounding:.1e} at most"));
+        notes.push(format!("double-precision positions are rounded to single precision, by {rounding:.1e} at most"));
     }
     Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped: Some(dropped) })
 }
@@ -435,7 +435,7 @@ fn pixel_filter_of(header: &Header, notes: &mut Vec<String>) -> PixelFilter {
         }
         Mode::Mip => mip_filter_of(header).unwrap_or_else(|| {
             notes.push(
-                "SplatRenderMode mip, by neither Brush nor Centaur: taken as antialiased with 0.3 px², as in SPZ and SOG, not with Mip-Splatting's 0.1"
+                "SplatRenderMode mip, written by neither Brush nor Centaur: read as antialiased with 0.3 px², as in SPZ and SOG, not with Mip-Splatting's 0.1"
                     .to_owned(),
             );
             PixelFilter::NORMALIZED_DILATION

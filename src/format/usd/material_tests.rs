@@ -105,8 +105,8 @@ def "W" (
     assert_eq!(
         file.notes,
         [
-            "/W/M/S: shown by its diffuse colour alone, unlit",
-            "1 prim that move or change, taken at their first time",
+            "/W/M/S: only its diffuse colour is shown, unlit",
+            "1 prim with animation, read at its first time",
             "1 prim with references, which are not followed",
         ]
     );
@@ -144,7 +144,7 @@ def Mesh "M" {{
         let rgb = sh::rgb_from_dc(file.scene.meshes[0].atlas().base().texels()[..3].try_into().unwrap());
         (rgb.map(|v| (v * 255.0).round()), file.notes[0].rsplit(": ").next().unwrap().to_owned())
     };
-    let [diffuse, emissive] = ["diffuse", "emissive"].map(|what| format!("shown by its {what} colour alone, unlit"));
+    let [diffuse, emissive] = ["diffuse", "emissive"].map(|what| format!("only its {what} colour is shown, unlit"));
     let to = |input: &str, texture: &str| format!("color3f inputs:{input}Color.connect = <../{texture}.outputs:rgb>");
     let both = format!("{}\n{}", to("diffuse", "Red"), to("emissive", "Black"));
     assert_eq!(read_with(&both), ([255.0, 0.0, 0.0], diffuse));
@@ -261,10 +261,10 @@ fn shaders_that_are_no_pictures_have_one_colour() {
     for (shader, what) in [
         (
             r#"uniform token info:id = "UsdPrimvarReader_float3""#,
-            "a shader that is no UsdUVTexture, UsdPrimvarReader_float3",
+            "a shader other than UsdUVTexture, UsdPrimvarReader_float3",
         ),
-        ("", "a shader that is no UsdUVTexture, without an info:id"),
-        (r#"uniform token info:id = "UsdUVTexture""#, "a texture without a picture"),
+        ("", "a shader other than UsdUVTexture, without an info:id"),
+        (r#"uniform token info:id = "UsdUVTexture""#, "a texture without an image"),
     ] {
         let file = read_text(&format!(
             r#"( metersPerUnit = 1 )
@@ -289,7 +289,7 @@ def Mesh "T" {{
         let rgb = sh::rgb_from_dc(base.texels()[..3].try_into().unwrap());
         let grey = crate::scene::color::linear_to_srgb(0.18);
         assert!(rgb.iter().all(|c| (c - grey).abs() < 1e-6), "{rgb:?}");
-        let expected = format!("/M/P: {what}, in whose place is one value of inputs:diffuseColor");
+        let expected = format!("/M/P: {what}, replaced by a constant inputs:diffuseColor");
         assert!(file.notes.contains(&expected), "{:?}", file.notes);
     }
 }
@@ -308,9 +308,9 @@ fn a_map_of_bands_is_named_by_its_channels() {
         let file = crate::format::exr::encode(&map, 0, &names).unwrap();
         std::fs::write(folder.path().join("a_mesh_0_bands.exr"), file).unwrap();
         let expected = "9, 24 or 45 channels, of the SH bands above the first";
-        let message = format!("those of the material are shown: expected {expected}, found {channels}");
+        let message = format!("those of the material are shown instead: expected {expected}, found {channels}");
         let notes = read(&path).unwrap().notes;
-        assert_eq!(notes[0], format!("/Scene/mesh_0.centaur:bandsMap: the maps are lost, {message}"));
+        assert_eq!(notes[0], format!("/Scene/mesh_0.centaur:bandsMap: the maps cannot be read, {message}"));
     }
 }
 

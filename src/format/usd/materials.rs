@@ -132,12 +132,12 @@ impl<'a> Materials<'a> {
             Some(Err(fault)) => {
                 let (place, expected, found) = fault.into_parts();
                 notes.push(format!(
-                    "{place}the maps are lost, those of the material are shown: expected {expected}, found {found}"
+                    "{place}the maps cannot be read, those of the material are shown instead: expected {expected}, found {found}"
                 ));
             }
         }
         let Some(shader) = mesh.material.and_then(|material| preview_surface(stage, material)) else {
-            notes.push(format!("{at}: without a UsdPreviewSurface it gets one colour"));
+            notes.push(format!("{at}: has no UsdPreviewSurface and is shown in one colour"));
             let rgb = stage.rows::<3>(mesh.prim, "primvars:displayColor")?.and_then(|c| c.first().copied());
             let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| self.space.from_linear(rgb)));
             let alpha = stage.rows::<1>(mesh.prim, "primvars:displayOpacity")?.and_then(|a| a.first().copied());
@@ -153,7 +153,7 @@ impl<'a> Materials<'a> {
         };
         // Surfaces that emit only in places, but have an image of their diffuse colour, are shown by that colour.
         let (input, what) = if emits && !is_picture(DIFFUSE) { (EMISSION, "emissive") } else { (DIFFUSE, "diffuse") };
-        notes.push(format!("{path}: shown by its {what} colour alone, unlit"));
+        notes.push(format!("{path}: only its {what} colour is shown, unlit"));
         let color = self.picture(stage, shader, input, [0.18; 3], true, notes)?;
         let mut opacity = self.picture(stage, shader, "inputs:opacity", [1.0; 3], false, notes)?;
         let threshold = stage.number(shader, "inputs:opacityThreshold").unwrap_or(0.0) as f32;
@@ -161,7 +161,7 @@ impl<'a> Materials<'a> {
             opacity.texels.iter_mut().for_each(|t| *t = t.map(|a| f32::from(a >= threshold)));
         }
         if color.coordinates.is_some() && opacity.coordinates.is_some() && color.coordinates != opacity.coordinates {
-            notes.push(format!("{path}: its opacity lies where its colour does, not by coordinates of its own"));
+            notes.push(format!("{path}: its opacity uses the texture coordinates of its colour, not its own"));
         }
         let atlas = self.joined(&color, &opacity, &path)?;
         Ok((atlas, color.coordinates.or(opacity.coordinates).unwrap_or_else(Coordinates::plain)))
@@ -228,15 +228,15 @@ impl<'a> Materials<'a> {
         };
         let at = stage.path(texture);
         let mut without = |what: &str| {
-            notes.push(format!("{at}: {what}, in whose place is one value of {input}"));
+            notes.push(format!("{at}: {what}, replaced by a constant {input}"));
             Ok(Picture::constant(shown(default)))
         };
         let id = stage.text(texture, "info:id").unwrap_or("without an info:id");
         if id != "UsdUVTexture" {
-            return without(&format!("a shader that is no UsdUVTexture, {id}"));
+            return without(&format!("a shader other than UsdUVTexture, {id}"));
         }
         let Some(Source::Value(Value::Asset(file))) = stage.input(texture, "inputs:file") else {
-            return without("a texture without a picture");
+            return without("a texture without an image");
         };
         let channels = match output.strip_prefix("outputs:").unwrap_or_default() {
             "r" => [0; 3],

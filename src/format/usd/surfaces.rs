@@ -32,7 +32,7 @@ pub(super) fn read(
     let (prim, at) = (placed.prim, stage.path(placed.prim));
     let mut polygons = polygons(stage, prim, notes)?;
     if stage.text(prim, "subdivisionScheme").unwrap_or("catmullClark") != "none" {
-        notes.push(format!("{at}: a subdivision surface is taken as its control mesh"));
+        notes.push(format!("{at}: a subdivision surface is read as its control mesh"));
     }
     if polygons.counts.iter().zip(&polygons.holes).all(|(&count, &is_hole)| count < 3 || is_hole) {
         notes.push(format!("{at}: a mesh without triangles is left out"));
@@ -51,7 +51,7 @@ pub(super) fn read(
         let (mut atlas, coordinates) = materials.atlas(stage, &Placed { material: *material, ..*placed }, notes)?;
         if atlas.sh_degree() > 0 && placed.transform != DMat4::IDENTITY {
             let turn = orthogonal(placed.transform).ok_or_else(|| {
-                let expected = "a transform with an inverse above a mesh with view-dependent colour";
+                let expected = "an invertible transform above a mesh with view-dependent colour";
                 Fault::pointer(&at, expected, "one without")
             })?;
             atlas = turned(&atlas, turn).map_err(|e| Fault::from(e).under(&at))?;
@@ -163,7 +163,7 @@ fn polygons(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<P
         }
     }
     if astray > 0 {
-        notes.push(format!("{}: {astray} of {} are no faces, not used", at("holeIndices"), named.len()));
+        notes.push(format!("{}: {astray} of {} are not faces and are ignored", at("holeIndices"), named.len()));
     }
     Ok(Polygons { points, counts, corners, holes })
 }

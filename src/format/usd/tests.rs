@@ -125,7 +125,7 @@ fn the_record_of_the_training_is_kept() {
     let broken = text("string centaur = \"{\"");
     assert_eq!(
         (broken.record, &broken.notes[0][..]),
-        (None, "/customLayerData/centaur: the record of the training is no JSON and is left out")
+        (None, "/customLayerData/centaur: the record of the training is not JSON and is left out")
     );
 }
 
@@ -298,8 +298,8 @@ fn units_axes_and_nested_transforms_are_applied() {
             "/World/Turn/S.opacities: 1 values for 2, not used",
             "/World/Turn/S: 2 opacities not between 0 and 1 or scales not above 0 are clamped, so that their logit or logarithm is finite",
             "/C: a camera without an image size is taken to have 2160×1080 pixels",
-            "1 prim made invisible left out, with what is below",
-            "1 prim of type PointInstancer left out, with what is below",
+            "1 prim left out because invisible, with all below",
+            "1 prim of type PointInstancer left out, with all below",
         ]
     );
 }
@@ -368,7 +368,7 @@ def Material "Red" {{}}
     let [mesh_of_two] = &file.scene.meshes[..] else { panic!("{}", file.scene.meshes.len()) };
     assert_eq!(mesh_of_two.triangles(), [[0, 1, 2], [5, 4, 3]]);
     assert_eq!(mesh_of_two.corner_uvs()[1], [Vec2::new(0.2, 1.0); 3]);
-    assert_eq!(file.notes[0], "/M.holeIndices: 1 of 2 are no faces, not used");
+    assert_eq!(file.notes[0], "/M.holeIndices: 1 of 2 are not faces and are ignored");
     let none = mesh("[2, 1, 0]");
     assert_eq!(
         (none.scene.meshes.len(), &none.notes[..]),
@@ -442,7 +442,7 @@ fn what_cannot_be_taken_over_is_refused_in_one_line() {
             splats(&format!(
                 "{one} float3 xformOp:scale = (1, 0, 2) uniform token[] xformOpOrder = [\"xformOp:scale\"]"
             )),
-            Some("/a.usda: /S: expected a transform with an inverse above splats, found one without"),
+            Some("/a.usda: /S: expected an invertible transform above splats, found one without"),
         ),
         (
             splats("uniform token[] xformOpOrder = [\"xformOp:scale\"]"),

@@ -80,8 +80,10 @@ fn record(layer: &Layer, notes: &mut Vec<String>) -> Option<serde_json::Value> {
     let entry = entries.iter().find(|entry| entry.key == names::RECORD)?;
     let record = entry.value.as_text().and_then(|text| serde_json::from_str(text).ok());
     if record.is_none() {
-        notes
-            .push(format!("/customLayerData/{}: the record of the training is no JSON and is left out", names::RECORD));
+        notes.push(format!(
+            "/customLayerData/{}: the record of the training is not JSON and is left out",
+            names::RECORD
+        ));
     }
     record
 }
@@ -95,7 +97,7 @@ pub(super) fn display_name(prim: &Prim) -> String {
 pub(super) fn units(layer: &Layer, notes: &mut Vec<String>) -> Result<DMat4, Fault> {
     let scale = match layer.field("metersPerUnit").map(Value::as_number) {
         None => {
-            notes.push("metersPerUnit is not stated: lengths are taken as they are".to_owned());
+            notes.push("metersPerUnit is not stated: lengths are not converted".to_owned());
             1.0
         }
         Some(Some(scale)) if scale > 0.0 && scale.is_finite() => scale,
@@ -198,16 +200,16 @@ fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
         return false;
     }
     if prim.value("visibility").and_then(Value::as_text) == Some("invisible") {
-        left_out.add("made invisible left out, with what is below");
+        left_out.add("left out because invisible, with all below");
         return false;
     }
     // Prototypes of a `PointInstancer` are below it, and are not drawn there.
     if prim.type_name == "PointInstancer" {
-        left_out.add("of type PointInstancer left out, with what is below");
+        left_out.add("of type PointInstancer left out, with all below");
         return false;
     }
     if matches!(prim.value("purpose").and_then(Value::as_text), Some("proxy" | "guide")) {
-        left_out.add("of purpose proxy or guide left out, with what is below");
+        left_out.add("of purpose proxy or guide left out, with all below");
         return false;
     }
     true
@@ -243,7 +245,7 @@ impl Counts {
             }
         }
         if !prim.variants.is_empty() {
-            self.add("with variants, none of which is chosen");
+            self.add("with variants, none of which is selected");
         }
         let mut metadata = std::iter::once(&prim.metadata).chain(prim.properties.iter().map(|p| &p.metadata));
         if metadata.any(|metadata| foreign::entries(metadata, "customData") > 0) {
@@ -255,7 +257,7 @@ impl Counts {
         let is_animated =
             |kind: &PropertyKind| matches!(kind, PropertyKind::Attribute { samples, .. } if samples.len() > 1);
         if prim.properties.iter().any(|p| is_animated(&p.kind)) {
-            self.add("that move or change, taken at their first time");
+            self.add("with animation, read at its first time");
         }
     }
 

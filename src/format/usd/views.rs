@@ -21,7 +21,7 @@ pub(super) fn read(
     }
     let placed = to_scene * transform;
     let Decomposed { rotation, translation, .. } =
-        similarity(placed).ok_or("its transform shears, mirrors or stretches")?;
+        similarity(placed).ok_or("its transform has shear, mirroring or non-uniform scale")?;
     let pose = frame::camera_of_node(rotation, translation);
 
     // USD's defaults are those of a 35 mm film camera.
