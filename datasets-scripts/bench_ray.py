@@ -3,10 +3,10 @@
   pip install ray
   python3 bench_ray.py [--address ADDRESS] [--gpus 1] [--cpus 2] DATASET -o OUT [options of centaur bench]
 
-All nodes must see DATASET and OUT under the same paths and have `centaur` (or what --program says). A task that is lost with its
-node is started again and goes on from its checkpoint; jobs that are done are not done again. Those that another runner is at, such as what
-a worker that was killed has left behind, are asked for again until they are done. On nodes of several GPUs a job has the one that Ray
-assigned to it.
+All nodes must see DATASET and OUT under the same paths and have `centaur` (or the program given by --program). A task
+that is lost with its node is restarted and resumes from its checkpoint; finished jobs are not repeated. Jobs held by
+another runner, such as a process left behind by a killed worker, are tried again until they are done. On nodes with
+several GPUs a job uses the one that Ray assigned to it.
 """
 
 import argparse
@@ -19,12 +19,12 @@ import time
 import assigned_adapter
 from assigned_adapter import adapter_of
 
-# Exit status of `centaur bench` where another runner is at the job.
+# Exit status of `centaur bench` if another runner holds the job.
 ELSEWHERE = 3
 
 
 def ask(program, options, **pipes):
-    """Runs `centaur bench` on this machine."""
+    """Runs `centaur bench` on this machine and returns its output."""
     try:
         return subprocess.run([*program, "bench", *options], **pipes)
     except OSError as e:
@@ -32,22 +32,23 @@ def ask(program, options, **pipes):
 
 
 def open_jobs(program, options):
-    """A command for each job that is not done."""
+    """A command for each unfinished job."""
     listed = ask(program, with_option(options, "--list"), stdout=subprocess.PIPE, text=True)
     if listed.returncode:
         raise SystemExit(listed.returncode)
-    # A line begins with the program's own path, which other nodes may have elsewhere, and `bench`.
+    # A line begins with the program's own path, which can differ on other nodes, and `bench`.
     return [[*program, "bench", "--quiet", *shlex.split(line)[2:]] for line in listed.stdout.split("\n") if line]
 
 
 def with_option(options, option):
-    """Before the flags of `centaur train`."""
+    """Inserts an option before the flags of `centaur train`."""
     end = options.index("--") if "--" in options else len(options)
     return [*options[:end], option, *options[end:]]
 
 
 def run(program, command, folder):
-    """Exit status of a job, the last line it said, and where. Its paths are relative to `folder`: a worker runs where its node began."""
+    """Runs a job; returns exit status, last line of output, and node. Paths are relative to `folder`: a worker has its
+    node's folder."""
     import ray
 
     context = ray.get_runtime_context()
@@ -71,7 +72,8 @@ def run(program, command, folder):
 
 
 def ensure_resources(nodes, asked):
-    """Stops unless a node has what a job asks for, {resource: how much}, all at once: a job would wait for one for ever."""
+    """Stops unless a single node has all resources of a job, {resource: amount}: otherwise the job would wait
+    forever."""
     has = [node["Resources"] for node in nodes if node["Alive"]]
     if any(all(node.get(what, 0) >= much for what, much in asked.items()) for node in has):
         return
@@ -80,7 +82,7 @@ def ensure_resources(nodes, asked):
 
 
 def reason(error):
-    """Of an error of Ray's: the last line of what a task raised, the first of what became of a node or a worker."""
+    """Reason of a Ray error: the last line if a task raised it, else the first line about the lost node or worker."""
     import ray
 
     lines = str(error).strip().splitlines() or [type(error).__name__]
@@ -88,7 +90,8 @@ def reason(error):
 
 
 def do_all(start, jobs, retry_after):
-    """Does the jobs by tasks that `start(job)` gives, and those that another runner is at again after so many seconds. Returns how many failed."""
+    """Does the jobs as tasks returned by `start(job)`, and retries those held by another runner after some seconds.
+    Returns the number of failures."""
     import ray
 
     running, waiting, said, failed, ended = {start(job): job for job in jobs}, [], set(), 0, 0
@@ -107,7 +110,7 @@ def do_all(start, jobs, retry_after):
             name = name_of(job)
             try:
                 status, message, node = ray.get(task)
-            except ray.exceptions.RayError as e:  # the node or the task is gone for good
+            except ray.exceptions.RayError as e:  # the node or the task is lost for good
                 status, message, node = 1, reason(e), "unknown"
             if status == ELSEWHERE:
                 waiting.append((time.monotonic() + retry_after, job))
@@ -127,7 +130,7 @@ def name_of(job):
 
 
 def seconds(text):
-    """Of --retry-after."""
+    """Parses --retry-after."""
     if not 0 <= (value := float(text)) <= 86400:
         raise ValueError
     return value
@@ -135,12 +138,12 @@ def seconds(text):
 
 def main(arguments):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--program", default="centaur", help="how to call it (default: centaur)")
-    parser.add_argument("--address", help="of the cluster (default: that of the environment, else this machine alone)")
-    parser.add_argument("--gpus", type=float, default=1, help="of a job; parts share a GPU, 0 for none (default: 1)")
-    parser.add_argument("--cpus", type=float, default=2, help="of a job (default: 2)")
+    parser.add_argument("--program", default="centaur", help="command to run centaur (default: centaur)")
+    parser.add_argument("--address", help="address of the cluster (default: that of the environment, else this machine alone)")
+    parser.add_argument("--gpus", type=float, default=1, help="GPUs per job; with a fraction jobs share a GPU, 0 for none (default: 1)")
+    parser.add_argument("--cpus", type=float, default=2, help="CPUs per job (default: 2)")
     parser.add_argument(
-        "--retry-after", type=seconds, default=45, metavar="SECONDS", help="when to ask again for jobs that another runner is at (default: 45)"
+        "--retry-after", type=seconds, default=45, metavar="SECONDS", help="delay before retrying jobs held by another runner (default: 45)"
     )
     args, options = parser.parse_known_args(arguments)
     try:
@@ -163,7 +166,7 @@ def main(arguments):
             ray.cloudpickle.register_pickle_by_value(module)
         task = ray.remote(num_gpus=args.gpus, num_cpus=args.cpus, max_retries=3)(run)
         failed = do_all(lambda job: task.remote(program, job, os.getcwd()), jobs, args.retry_after)
-    except (OSError, RuntimeError, ValueError) as e:  # an address of no cluster, parts of GPUs that are not to be had
+    except (OSError, RuntimeError, ValueError) as e:  # no cluster at this address, or fractions of GPUs that Ray does not allow
         raise SystemExit(f"error: {(str(e).strip().splitlines() or [type(e).__name__])[0]}")
     if failed:
         raise SystemExit(f"{failed} of {len(jobs)} jobs failed")

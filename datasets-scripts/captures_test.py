@@ -1,4 +1,4 @@
-"""What the scripts that render captures refuse, before they make a scene; needs requirements.txt: see geometry_test.py"""
+"""Errors that capture-rendering scripts report before building a scene; needs requirements.txt: see geometry_test.py"""
 
 import contextlib
 import io
@@ -26,12 +26,12 @@ class Refused(unittest.TestCase):
             self.addCleanup(patch.stop)
 
     def refused(self, pattern, folder, *options):
-        """By both, and nothing is made."""
+        """Asserts that both scripts refuse this and create nothing."""
         for main, scene in ((demo_capture.main, []), (unbounded_capture.main, ["garden"])):
             said = io.StringIO()
             with self.subTest(options), self.assertRaises(SystemExit) as end, contextlib.redirect_stderr(said):
                 main([*scene, str(folder), *options])
-            # argparse prints, and ends with 2.
+            # argparse prints its error and exits with 2.
             self.assertRegex(said.getvalue() if end.exception.code == 2 else end.exception.code, pattern)
             self.assertFalse(self.folder.exists())
 

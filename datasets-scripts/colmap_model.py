@@ -17,7 +17,7 @@ OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<u8")])
 
 @dataclass(frozen=True)
 class Camera:
-    """One pinhole for all views; focal length and principal point in pixels."""
+    """A pinhole camera for all views; focal length and principal point in pixels."""
 
     width: int
     height: int
@@ -28,7 +28,7 @@ class Camera:
         return np.array([[self.focal, 0, self.principal[0]], [0, self.focal, self.principal[1]], [0, 0, 1]])
 
     def project(self, pose, point):
-        """Pixel coordinates, or None outside the picture, its outermost pixels included."""
+        """Pixel coordinates; None outside the picture or in its outermost pixels."""
         x, y, z = self.intrinsics() @ (pose[0] @ point + pose[1])
         if z <= 0:
             return None
@@ -42,7 +42,7 @@ class Camera:
 
 
 def facing(eye, back):
-    """The pose of a level camera at `eye`; `back` is the unit vector away from what it looks at, z is up."""
+    """Pose of a level camera at `eye`; `back` is the unit vector away from the point it looks at, and z is up."""
     right = np.cross([0, 0, 1], back)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(right, back), -back])
@@ -79,10 +79,11 @@ def name_of(index):
 
 
 def write_model(folder, camera, poses, positions, colours, observations=None, errors=None):
-    """One shared PINHOLE camera; view i is the picture name_of(i).
+    """Writes a model with one shared PINHOLE camera; view i is the picture name_of(i).
 
-    `observations` has per view a list of (x, y, point index, or None for a feature without a point), from which the points'
-    tracks follow; without it both are empty. `errors` are the points' mean distances from their observations in pixels.
+    `observations` contains for each view a list of (x, y, point index, or None for a feature without a point), which
+    define the points' tracks; without it, observations and tracks are empty. `errors` are the points' mean distances
+    from their observations in pixels.
     """
     folder.mkdir(parents=True, exist_ok=True)
     observations = observations or [[]] * len(poses)
@@ -106,8 +107,8 @@ def write_model(folder, camera, poses, positions, colours, observations=None, er
 
 
 def read_model(folder):
-    """Of a model that write_model wrote: poses, positions, colours, observations per view as they were given, tracks of
-    (view, index among its observations)."""
+    """Reads a model written by write_model: poses, positions, colours, observations per view as they were given, and
+    tracks of (view, index among its observations)."""
     data, poses, observations, at = (folder / "images.bin").read_bytes(), [], [], 8
     for _ in range(struct.unpack_from("<Q", data)[0]):
         values = IMAGE.unpack_from(data, at)

@@ -3,7 +3,7 @@
     python demo_capture.py ../demo              # render everything and check it
     python demo_capture.py ../demo --check      # only check what is there
 
-A run that was interrupted goes on where it stopped when it is started the same again; until its end the folder is no capture.
+An interrupted run is resumed when started again with the same arguments; until the end the folder is not a capture.
 """
 
 import argparse
@@ -22,7 +22,7 @@ import rendering
 from colmap_model import Camera, centre_of, facing, read_model, write_model
 from mitsuba_capture import cast, ensure_outputs, ensure_views, load_scene, misalignment, pictures_of, render, sample, samples, seen, take
 
-# Off-centre on purpose: a reader that assumes the middle of the picture is wrong by 6 and 4 pixels.
+# Off-centre on purpose: a reader that assumes the centre of the picture has an error of 6 and 4 pixels.
 CAMERA = Camera(224, 168, 288.0, (224 / 2 + 6.0, 168 / 2 - 4.0))
 VIEWS, ELEVATIONS, DISTANCE = 48, (11.0, 29.0, 50.0), 3.6
 LOOK_AT = np.array([0.0, 0.0, 0.6])
@@ -32,7 +32,8 @@ POINTS, POINT_NOISE = 6000, 0.005
 def view_pose(index):
     """World-to-camera rotation [3, 3] and translation [3], COLMAP axes: x right, y down, z forward.
 
-    The azimuth advances steadily while the height cycles, so every eighth view (the test split) is spread over both.
+    The azimuth advances steadily while the height cycles, so that every eighth view (the test split) covers both
+    ranges.
     """
     rng = np.random.default_rng(1000 + index)
     azimuth = np.radians(360 * index / VIEWS + rng.uniform(-2, 2))
@@ -58,7 +59,7 @@ def picture_of(scene, index, spp):
 
 
 def sparse_points(scene, poses, pictures, rng):
-    """Surface points seen by at least three views: positions [P, 3] with noise as from SfM, median colours [P, 3]."""
+    """Surface points seen by at least three views: positions [P, 3] with noise as in SfM, and median colours [P, 3]."""
     positions, colours = [], []
     while len(positions) < POINTS:
         pose = poses[rng.integers(len(poses))]
@@ -76,7 +77,8 @@ def sparse_points(scene, poses, pictures, rng):
 
 
 def outline_error(scene, pose, picture, offset):
-    """Share of pixels whose ray hits the scene but which are black, or the other way round; rays moved by offset pixels."""
+    """Share of pixels that are black although their ray hits the scene, or vice versa; rays are shifted by `offset`
+    pixels."""
     ys, xs = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width : 2]
     wrong = 0
     for x, y in zip(xs.ravel(), ys.ravel()):
@@ -86,7 +88,8 @@ def outline_error(scene, pose, picture, offset):
 
 
 def check(scene, folder):
-    """Poses, intrinsics and pictures agree: outlines, texture carried from view to view, colours at projected points."""
+    """Checks that poses, intrinsics and pictures agree: outlines, texture transferred between views, colours at
+    projected points."""
     poses, positions, colours, _, _ = read_model(folder / "sparse/0")
     pictures = pictures_of(folder, len(poses))
     rng = np.random.default_rng(7)
@@ -109,9 +112,9 @@ def check(scene, folder):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("folder", type=Path, help="where images/ and sparse/0/ go")
+    parser.add_argument("folder", type=Path, help="output folder, for images/ and sparse/0/")
     parser.add_argument("--spp", type=samples, default=256, help="samples per pixel (a square number)")
-    parser.add_argument("--only", type=int, nargs="*", help="render these views as PNG into FOLDER and stop (for a look)")
+    parser.add_argument("--only", type=int, nargs="*", help="render only these views as PNG into FOLDER, as a preview")
     parser.add_argument("--check", action="store_true", help="do not render, only check")
     arguments = parser.parse_args(arguments)
     ensure_outputs(arguments)

@@ -1,4 +1,4 @@
-"""Downloads the public captures that papers report on, checks them and unpacks them. Standard library only.
+"""Downloads the public captures used in papers, checks them and unpacks them. Standard library only.
 
     python3 fetch_captures.py mipnerf360 ../captures          # nine scenes, about 13 GB
     python3 fetch_captures.py tandt_db ../captures            # Tanks and Temples' truck and train, Deep Blending, 650 MB
@@ -6,14 +6,13 @@
     python3 fetch_captures.py tandt ../captures --scenes Barn,Ignatius   # two of the six, and truck and train in any case
     python3 fetch_captures.py nerf_synthetic ../captures      # eight rendered objects with alpha and their own test views
 
-Shows where the licences stand, asks for the sizes of all archives and stops where the disk is too small. An interrupted
-download goes on where it stopped, one that is dropped by itself, three times. Checksums that publishers give are compared; of
-the others the first complete download is recorded in archives/SHA256SUMS (readable by `sha256sum -c`) when all files in it are
-whole, and later ones must match. Each scene that is whole has a list of its files, .fetched.json: archives of such scenes can be
+Prints where the licences are, asks for the sizes of all archives, and stops if the disk is too small. An interrupted
+download is resumed, and a dropped one is retried three times. Published checksums are compared; otherwise the first
+complete download is recorded in archives/SHA256SUMS (readable by `sha256sum -c`) if all files in it are intact, and
+later ones must match. Each complete scene has a list of its files, .fetched.json: archives of such scenes can be
 deleted, and are not downloaded again.
-Everything of Mip-NeRF 360 is there for both protocols of `centaur bench`: the full pictures (b) and images_2, images_4, images_8
-(a). scenes.json says where scenes are and with which flags they are trained, for `centaur bench` of the whole folder or of its
---scenes.
+Mip-NeRF 360 is complete for both protocols of `centaur bench`: full pictures (b) and images_2, images_4, images_8 (a).
+scenes.json lists the scenes' folders and training flags, for `centaur bench` on the whole folder or on its --scenes.
 """
 
 import argparse
@@ -47,11 +46,11 @@ except ImportError:  # Windows
 
 GOOGLE = "https://storage.googleapis.com/gresearch/refraw360/"
 INRIA = "https://repo-sam.inria.fr/fungraph/3d-gaussian-splatting/datasets/input/"
-# The copies that GOF and NerfBaselines evaluate on; NeRF's authors give theirs out through Google Drive only.
+# The copies that GOF and NerfBaselines evaluate on; NeRF's authors distribute theirs only through Google Drive.
 GOF = "https://huggingface.co/datasets/ZehaoYu/gaussian-opacity-fields/resolve/main/"
 NERFBASELINES = "https://huggingface.co/datasets/nerfbaselines/nerfbaselines-data/resolve/main/blender/"
 OUTDOOR, INDOOR = ("bicycle", "flowers", "garden", "stump", "treehill"), ("room", "counter", "kitchen", "bonsai")
-# Of these, the scenes that came later, in an archive of their own.
+# The scenes that were published later, in a separate archive.
 EXTRA = {"flowers", "treehill"}
 SYNTHETIC = ("chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship")
 TRUCK_AND_TRAIN = ("tandt/truck", "tandt/train")
@@ -61,26 +60,27 @@ TANKS = "Tanks and Temples: for research that is not commercial, https://www.tan
 
 @dataclass(frozen=True)
 class Collection:
-    """Where archives are, what lies in them, and how published tables use it."""
+    """Addresses and contents of archives, and how published tables use them."""
 
     archives: list
     licence: str
-    # Folder of every scene and the flags of `centaur train` for it.
+    # Folder of each scene and its flags for `centaur train`.
     scenes: dict
-    # Scenes of every archive, where there are several.
+    # Scenes of each archive, if there are several.
     scenes_in: dict = field(default_factory=dict)
-    # Scenes that are fetched whichever are chosen.
+    # Scenes that are always fetched, whichever are chosen.
     always: tuple = ()
-    # SHA-256 of archives, where known.
+    # SHA-256 of archives, if known.
     sums: dict = field(default_factory=dict)
-    # What `centaur bench` needs in place of the flags of the scenes, and a word to say.
+    # Arguments of `centaur bench` that replace the scenes' flags, and a remark to print.
     bench: str = ""
-    # Names of scenes whose means stand beside published rows where those of all do not, with the name of their table.
+    # Scenes whose means are compared with published rows when those of all scenes are not, with the name of their
+    # table.
     tables: dict = field(default_factory=dict)
     remark: str = ""
 
 
-# Outdoor scenes at 1/4, indoor ones at 1/2, Tanks and Temples as they come, GOF's larger pictures at 1/2.
+# Outdoor scenes at 1/4, indoor ones at 1/2, Tanks and Temples unscaled, GOF's larger pictures at 1/2.
 CAPTURES = {
     "mipnerf360": Collection(
         [GOOGLE + "360_v2.zip", GOOGLE + "360_extra_scenes.zip"],
@@ -115,25 +115,25 @@ CAPTURES = {
     ),
 }
 BLOCK = 1 << 20
-# At a download whose connection is dropped, and the seconds between them.
+# Attempts at a download whose connection is dropped, and the seconds between them.
 ATTEMPTS, PAUSE = 3, 5
-# In every scene that is whole: {file in the data set: its size}.
+# File in every complete scene: {file in the data set: its size}.
 MARKER = ".fetched.json"
-# Of the names of files while they are unpacked.
+# Suffix of files while they are being unpacked.
 UNPACKING = ".fetch-captures-"
 
 
 class FetchError(Exception):
-    """One line for the user."""
+    """An error with a one-line message for the user."""
 
 
 class DroppedError(Exception):
-    """Why a connection ended that may last longer the next time."""
+    """Reason of a dropped connection that may last longer in another attempt."""
 
 
 @contextlib.contextmanager
 def alone_in(folder, name=".lock"):
-    """Holds a folder of archives, into whose parts two runs would both write, by a file of this name."""
+    """Locks a folder of archives with a file of this name, since two runs would write into the same parts."""
     with (folder / name).open("w") as lock:
         try:
             if fcntl is not None:
@@ -147,7 +147,7 @@ def alone_in(folder, name=".lock"):
 
 @contextlib.contextmanager
 def locally(file):
-    """What goes wrong with a file of ours has nothing to do with the connection."""
+    """Marks errors with local files, which are unrelated to the connection."""
     try:
         yield
     except OSError as error:
@@ -158,7 +158,7 @@ def locally(file):
 
 @contextlib.contextmanager
 def connected(url):
-    """What goes wrong with a connection: a DroppedError where another attempt may help."""
+    """Converts connection errors: to a DroppedError if another attempt may help."""
     try:
         yield
     except urllib.error.HTTPError as error:
@@ -169,14 +169,14 @@ def connected(url):
             raise FetchError(f"{host}: cannot find this host: {why.strerror}") from error
         if isinstance(why, ssl.SSLCertVerificationError):
             raise FetchError(f"{host}: its certificate is refused: {why.verify_message}") from error
-        # A redirection to what is no address, a length that is no number.
+        # A redirection to an invalid address, or a length that is not a number.
         if isinstance(error, (ValueError, http.client.InvalidURL)):
             raise FetchError(f"{url}: {error}") from error
         raise DroppedError(str(error) or type(error).__name__) from error
 
 
 class Progress:
-    """How far a download is: a line that changes on a terminal, elsewhere one every 5 %."""
+    """Progress of a download: a line that is updated on a terminal, otherwise a line every 5 %."""
 
     def __init__(self, name, done, expected):
         self.name, self.expected, self.is_terminal = name, expected, sys.stderr.isatty()
@@ -193,26 +193,26 @@ class Progress:
         print(f"{start}{self.name}: {done / 1e6:.0f}{of} MB", end=end, file=sys.stderr, flush=True)
 
     def end(self):
-        """What comes next is in a line of its own."""
+        """Ends the line, so that following output has its own."""
         if self.is_terminal:
             print(file=sys.stderr)
 
 
 def version_of(headers):
-    """By which a server tells versions of a file apart, for If-Range: a strong ETag, else its date."""
+    """Identifies a server's version of a file, for If-Range: a strong ETag, else the date."""
     etag = headers.get("ETag") or ""
     return etag if etag and not etag.startswith("W/") else headers.get("Last-Modified") or ""
 
 
 def is_other_version(saved, headers):
-    """Whether a part of what had the version `saved` is of another: some servers do not heed If-Range."""
+    """Whether a part of version `saved` now has another version: some servers ignore If-Range."""
     found = headers.get("ETag" if saved.startswith('"') else "Last-Modified")
     return bool(saved) and found not in (None, saved)
 
 
 def download(url, target, is_known=False):
-    """Fetches url to target, in three attempts. Each goes on in target.part where what is beside it, target.etag, ensures that both halves are
-    of one version of the file, or `is_known`: where that is found by a checksum."""
+    """Downloads url to target, in three attempts. Each resumes target.part if target.etag ensures that both halves
+    belong to the same version of the file, or if `is_known`: the file's checksum reveals a mismatch."""
     part, tag = Path(f"{target}.part"), Path(f"{target}.etag")
     for left in reversed(range(ATTEMPTS)):
         try:
@@ -226,7 +226,7 @@ def download(url, target, is_known=False):
 
 
 def attempt(url, target, is_known, resumes=True):
-    """One request for what is missing of target.part, or for all of it."""
+    """Makes one request for the rest of target.part, or for the whole file."""
     part, tag = Path(f"{target}.part"), Path(f"{target}.etag")
     with locally(part):
         saved = tag.read_text() if tag.exists() else ""
@@ -242,9 +242,9 @@ def attempt(url, target, is_known, resumes=True):
         except urllib.error.HTTPError as error:
             if error.code != 416 or not have:
                 raise
-            if error.headers.get("Content-Range") != f"bytes */{have}":  # it is no part of what is there now
+            if error.headers.get("Content-Range") != f"bytes */{have}":  # the part does not belong to the server's present file
                 return attempt(url, target, is_known, resumes=False)
-            finish(part, target, tag)  # nothing is missing but its name
+            finish(part, target, tag)  # the file is complete and only has to be renamed
             return
         with reply:
             is_rest = reply.status == 206
@@ -254,13 +254,14 @@ def attempt(url, target, is_known, resumes=True):
                 if not resumes:
                     raise FetchError(f"{url}: expected the whole file, found a part of it")
                 return attempt(url, target, is_known, resumes=False)
-            # Unbuffered: what cannot be written is known at once, and where it is. Before the tag: none stands beside a part of another version.
+            # Unbuffered, so that a write error is known at once, and at which byte. The part is opened before the tag
+            # is written, so that no tag is ever beside a part of another version.
             with locally(part):
                 out = part.open("ab" if is_rest else "wb", buffering=0)
             with out:
                 version = version_of(reply.headers)
                 with locally(tag):
-                    # Of the rest, servers need not say it again.
+                    # Servers need not repeat it for the rest of a file.
                     if version or not is_rest:
                         tag.write_text(version) if version else tag.unlink(missing_ok=True)
                 done = receive(reply, out, part, start, expected)
@@ -270,8 +271,8 @@ def attempt(url, target, is_known, resumes=True):
 
 
 def extent(reply, have):
-    """Where what a server sends begins (None where that is unclear), and bytes of the whole file, or None where the server does not say. Of a
-    part of the file it says so without a length of that part, too."""
+    """Start of the data that a server sends (None if unclear), and size of the whole file, or None if the server does
+    not state it. For a part of the file the size is stated even without the length of that part."""
     length = reply.headers.get("Content-Length")
     if reply.status != 206:
         return 0, None if length is None else int(length)
@@ -284,7 +285,7 @@ def extent(reply, have):
 
 
 def receive(reply, out, part, done, expected):
-    """Writes to the part what comes after its first `done` bytes; returns how many it has then."""
+    """Writes data after the first `done` bytes of the part; returns the part's new length."""
     progress = Progress(part.name.removesuffix(".part"), done, expected)
     try:
         while block := reply.read(BLOCK):
@@ -306,18 +307,18 @@ def finish(part, target, tag):
 
 
 def size_of(url):
-    """Bytes that a download would have, or None where the server does not say."""
+    """Size of a download in bytes, or None if the server does not state it."""
     try:
         with urllib.request.urlopen(urllib.request.Request(url, method="HEAD"), timeout=60) as reply:
             length = reply.headers.get("Content-Length")
             return None if length is None else int(length)
-    except (OSError, ValueError, http.client.HTTPException):  # some refuse HEAD; the download itself says what is wrong
+    except (OSError, ValueError, http.client.HTTPException):  # some servers refuse HEAD; the download itself reports errors
         return None
 
 
 def ensure_space(folder, urls, all_scenes=True):
-    """Stops unless what is missing of the archives fits on the disk, and as much again where all scenes are wanted: photographs do not
-    shrink. What parts take of it is known when an archive is there."""
+    """Stops unless the rest of the archives fits on the disk, and as much again if all scenes are wanted, since
+    photographs do not compress. The size of a selection is known only once an archive is there."""
     missing = 0
     for archive, url in urls.items():
         part = Path(f"{archive}.part")
@@ -338,14 +339,15 @@ def sha256(file):
 
 
 def recorded(archives):
-    """{archive: its sum} of SHA256SUMS there."""
+    """{archive: checksum} from SHA256SUMS in the folder."""
     sums = archives / "SHA256SUMS"
     lines = (line.split(maxsplit=1) for line in sums.read_text().splitlines()) if sums.exists() else ()
     return {line[1]: line[0] for line in lines if len(line) == 2}
 
 
 def verify(archive, published=None):
-    """Compares with the published sum, then with SHA256SUMS beside the archive; returns the line to record where it has none."""
+    """Compares with the published checksum, then with SHA256SUMS beside the archive; returns the line to record if it
+    has none."""
     found, sums = sha256(archive), archive.parent / "SHA256SUMS"
     if published not in (None, found):
         raise FetchError(f"{archive}: SHA-256 is {found}, its publisher says {published}; delete it and run again")
@@ -369,10 +371,11 @@ def lies(path, size):
 
 
 def unpack(archive, folder, wanted=lambda path: True, is_whole=True):
-    """Extracts the wanted regular files below folder; refuses the whole archive if an entry would land elsewhere. Returns {file: its size}.
+    """Extracts the wanted regular files into folder; refuses the whole archive if an entry would be outside. Returns
+    {file: size}.
 
-    Where nothing yet says that the archive `is_whole`, all of it is read, also what is not wanted or lies there in the same size: only then
-    are all checksums in it compared.
+    Unless the archive is known to be intact (`is_whole`), all of it is read, including files that are not wanted or
+    exist with the same size, since only then all of its checksums are compared.
     """
     with zipfile.ZipFile(archive) as source:
         entries = [e for e in source.infolist() if not e.is_dir()]
@@ -389,7 +392,7 @@ def unpack(archive, folder, wanted=lambda path: True, is_whole=True):
         root, unread = folder.resolve(), set() if is_whole else {e for e in source.infolist() if not e.is_dir()}
         for e in entries:
             target = folder / e.filename
-            if not target.parent.resolve().is_relative_to(root):  # a link that lay there before
+            if not target.parent.resolve().is_relative_to(root):  # a link that was there before
                 raise FetchError(f"{target}: leads out of {folder}")
             target.parent.mkdir(parents=True, exist_ok=True)
             if lies(target, e.file_size) and (is_whole or crc32(target) == e.CRC):
@@ -405,7 +408,7 @@ def unpack(archive, folder, wanted=lambda path: True, is_whole=True):
 
 
 def extract(source, entry, target):
-    """A file of an archive, under another name until it is complete."""
+    """Extracts a file of an archive, under another name until it is complete."""
     out = tempfile.NamedTemporaryFile(dir=target.parent, prefix=UNPACKING, delete=False)
     try:
         with out, source.open(entry) as packed:
@@ -418,13 +421,13 @@ def extract(source, entry, target):
 
 
 def sweep(folder):
-    """Removes what a run that was killed has left half unpacked."""
+    """Removes files left half unpacked by a killed run."""
     for file in folder.rglob(f"{UNPACKING}*"):
         file.unlink(missing_ok=True)
 
 
 def mark(scenes, folder, files):
-    """Says of each of these scenes in `folder` of which files, {file: size}, it is made."""
+    """Records for each of these scenes in `folder` its files, {file: size}."""
     for scene in scenes:
         of_scene = {file: size for file, size in files.items() if PurePosixPath(file).is_relative_to(scene)}
         if of_scene:
@@ -434,17 +437,17 @@ def mark(scenes, folder, files):
 
 
 def is_fetched(scene, folder):
-    """Whether a scene was unpacked to its end, and all its files are there."""
+    """Whether a scene was unpacked completely, and all its files exist."""
     try:
         files = json.loads((folder / scene / MARKER).read_text())
         return all(lies(folder / file, size) for file, size in files.items()) and is_captured(folder / scene)
-    except (OSError, ValueError, AttributeError):  # none, or none of ours
+    except (OSError, ValueError, AttributeError):  # no list, or one of another program
         return False
 
 
 def chosen(collection, names):
-    """Folders of the scenes with these names, as in scenes.json or of their folders, and of those that come always, of all without any; an
-    error names those that there are."""
+    """Folders of the scenes with these names or folder names, plus those always fetched; all if no names are given. An
+    error lists the existing names."""
     known = {scene: {name, PurePosixPath(scene).name} for scene, name in scene_names(collection).items()}
     for name in names or ():
         if not any(name in of_scene for of_scene in known.values()):
@@ -453,23 +456,23 @@ def chosen(collection, names):
 
 
 def holds(collection, file):
-    """Whether an archive of this name is one of the collection's."""
+    """Whether an archive of this name belongs to the collection."""
     return any(url.endswith("/" + file) for url in collection.archives)
 
 
 def scene_names(collection):
-    """{scene: its name in tables}, of letters that differ in more than their case."""
+    """{scene: its name in tables}, where names differ in more than case."""
     short = {s: PurePosixPath(s).name for s in collection.scenes}
     lower = [name.lower() for name in short.values()]
     return {s: f"{name}-larger" if lower.count(name.lower()) > 1 and s in OF_GOF else name for s, name in short.items()}
 
 
 def list_scenes(collection, folder):
-    """Writes folder/scenes.json, from which `centaur bench` knows where scenes are and with which flags each is trained."""
+    """Writes folder/scenes.json, with which `centaur bench` finds scenes and their training flags."""
     names, scenes = scene_names(collection), {}
     for scene, flags in collection.scenes.items():
         if is_fetched(scene, folder):
-            # Pictures that a flag of `centaur bench` decides are not decided here.
+            # If a flag of `centaur bench` selects the pictures, they are not selected here.
             scenes[names[scene]] = {"capture": scene, "flags": [] if collection.bench else flags.split()}
     part = folder / "scenes.json.part"
     part.write_text(json.dumps({"scenes": scenes}, indent=2) + "\n")
@@ -487,7 +490,7 @@ def fetch(name, folder, mirror=None, names=None):
     scenes = chosen(collection, names)
     if mirror is not None:
         ensure_address(mirror)
-    print(f"Licence. {collection.licence}", flush=True)  # before the download, wherever it goes
+    print(f"Licence. {collection.licence}", flush=True)  # before the download, whichever way it ends
     archives, scenes_folder = folder / "archives", folder / name
     archives.mkdir(parents=True, exist_ok=True)
     scenes_folder.mkdir(parents=True, exist_ok=True)
@@ -497,7 +500,7 @@ def fetch(name, folder, mirror=None, names=None):
         for url in collection.archives:
             file = url.rsplit("/", 1)[1]
             of_archive = collection.scenes_in.get(file, set(scenes)) & set(scenes)
-            # One that is there is looked at again, which costs no download.
+            # An existing archive is checked again, which needs no download.
             if any((archives / file).exists() or not is_fetched(scene, scenes_folder) for scene in of_archive):
                 urls[archives / file] = url if mirror is None else f"{mirror.rstrip('/')}/{file}"
         get(collection, scenes, urls, scenes_folder)
@@ -507,7 +510,7 @@ def fetch(name, folder, mirror=None, names=None):
 
 
 def get(collection, scenes, urls, scenes_folder):
-    """Downloads, verifies and unpacks the scenes of {archive: its address} into their folder."""
+    """Downloads, verifies and unpacks the scenes of {archive: address} into their folder."""
     ensure_space(scenes_folder.parent, urls, len(scenes) == len(collection.scenes))
     for archive, url in urls.items():
         if not archive.exists():
@@ -515,7 +518,7 @@ def get(collection, scenes, urls, scenes_folder):
         if not zipfile.is_zipfile(archive):
             raise FetchError(f"{archive}: not a zip file; delete it and run again")
         record = verify(archive, collection.sums.get(archive.name))
-        # What the archive holds for other collections is left in it, too.
+        # Content for other collections is left in the archive.
         others = [PurePosixPath(s) for c in CAPTURES.values() if holds(c, archive.name) for s in c.scenes if s not in scenes]
         try:
             is_whole = record is None or archive.name in collection.sums
@@ -523,16 +526,16 @@ def get(collection, scenes, urls, scenes_folder):
             mark(scenes, scenes_folder, files)
         except OSError as error:
             raise FetchError(f"{archive}: {error}") from error
-        # A damaged one, an encrypted one, one of unknown compression.
+        # A damaged archive, an encrypted one, or one with an unknown compression.
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
             raise FetchError(f"{archive}: {error}; delete it and run again") from error
-        if record:  # of what is known to be whole
+        if record:  # recorded once the archive is known to be intact
             with (archive.parent / "SHA256SUMS").open("a") as out:
                 out.write(record)
 
 
 def say_commands(name, scenes, scenes_folder):
-    """Prints how to train the scenes that are there, and lists them for `centaur bench`."""
+    """Prints how to train the existing scenes, and lists them for `centaur bench`."""
     collection = CAPTURES[name]
     short = scene_names(collection)
     found = [s for s in scenes if is_fetched(s, scenes_folder)]
@@ -561,7 +564,8 @@ def ensure_address(mirror):
 
 
 def end_on_signals():
-    """What schedulers and lost terminals send ends it as Ctrl-C does, without leaving what is half written; but for what `nohup` ignores."""
+    """Lets signals of schedulers and closed terminals end the program as Ctrl-C does, leaving no half-written files,
+    except signals ignored by `nohup`."""
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -576,15 +580,15 @@ def interrupted():
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=CAPTURES)
-    parser.add_argument("folder", type=Path, help="where archives/ and the scenes go")
+    parser.add_argument("folder", type=Path, help="output folder, for archives/ and the scenes")
     parser.add_argument(
         "--scenes",
         metavar="NAMES",
-        help="unpack only these, comma separated, and download no other archives; of tandt truck and train come in any case [default: all]",
+        help="unpack only these scenes, comma separated, and download no other archives; for tandt, truck and train are always included [default: all]",
     )
-    parser.add_argument("--mirror", help="address of a folder that holds the same archives")
+    parser.add_argument("--mirror", help="address of a folder with the same archives")
     args = parser.parse_args(arguments)
-    # Of an empty variable of the shell nobody means all scenes.
+    # An empty shell variable is not meant to select all scenes.
     names = None if args.scenes is None else [name.strip() for name in args.scenes.split(",")]
     try:
         fetch(args.name, args.folder, args.mirror, names)

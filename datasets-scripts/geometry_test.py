@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from colmap_model import NO_POINT, Camera, centre_of, facing, quaternion, read_model, rotation_of, write_model
 from triangulation import triangulate, widest_angle
 
-# Neither the focal length nor the principal point may be mistaken for another number.
+# Different values, so that focal length and principal point cannot be confused.
 CAMERA = Camera(256, 160, 210.0, (131.0, 77.0))
 
 
@@ -73,7 +73,7 @@ class Models(unittest.TestCase):
         self.assertEqual(tracks, [[(0, 0)], [(3, 0)], [(0, 2), (1, 0), (3, 1)]])
 
     def test_bytes_are_colmaps(self):
-        """Read anew from the description of the format."""
+        """Parsed independently, from the description of the format."""
         write_model(
             self.folder, CAMERA, POSES[:1], np.array([(1.0, 2.0, 3.0)]), np.array([(7, 8, 9)]), [[(5.5, 6.5, None), (1.5, 2.5, 0)]], [0.75]
         )
@@ -105,7 +105,7 @@ class Points(unittest.TestCase):
                 for _ in range(60)
             ]
             spread = np.std([f - point for f in found], axis=0)
-            # Depth error: noise / (focal * spread of the eyes) * distance squared.
+            # Depth error: noise / (focal length × baseline) × distance squared.
             self.assertAlmostEqual(spread[1] / (0.3 / (210 * np.sqrt(2)) * point[1] ** 2), 1, delta=0.4)
             self.assertGreater(spread[1], spread[0])
 

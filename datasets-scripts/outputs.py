@@ -1,18 +1,19 @@
-"""Whether an output can be written, found before the work that goes into it, and writing it whole. Standard library only."""
+"""Checks before the work that an output can be written, and writes it atomically. Standard library only."""
 
 import os
 import tempfile
 
 
 def ensure_file(path):
-    """An OSError of one line unless a file of this name can be written. Makes nothing: folders that are missing come with the file."""
+    """Raises a one-line OSError unless a file of this name can be written. Creates nothing: missing folders are made
+    later with the file."""
     if os.path.isdir(path):
         raise OSError(f"{path}: cannot write: it is a folder")
     probe(path.parent, path, f".{path.name}.")
 
 
 def ensure_folder(path):
-    """The same of a folder and of files in it."""
+    """Raises a one-line OSError unless a folder of this name, and files in it, can be written."""
     probe(path, path, ".")
 
 
@@ -20,14 +21,14 @@ def probe(folder, path, prefix):
     try:
         while not is_there(folder) and folder != folder.parent:
             folder = folder.parent
-        # Modes do not say it all: nobody makes files in /proc, and root may write where disks are read-only.
+        # Permissions are not sufficient: nobody can create files in /proc, and root could write to read-only disks.
         tempfile.NamedTemporaryFile(dir=folder, prefix=prefix).close()
     except OSError as error:
         raise OSError(f"{path}: cannot write in {folder}: {error.strerror}") from error
 
 
 def is_there(folder):
-    """Not `Path.exists`, which of names that are too long says no in some versions of Python."""
+    """Like `Path.exists`, which in some versions of Python returns False for names that are too long."""
     try:
         os.stat(folder)
     except FileNotFoundError:
@@ -36,7 +37,7 @@ def is_there(folder):
 
 
 def write_whole(path, parts):
-    """A file of these bytes, under another name until it is complete."""
+    """Writes a file under another name until it is complete."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as out:
         try:
@@ -46,6 +47,6 @@ def write_whole(path, parts):
             out.close()
             os.unlink(out.name)
             raise
-    # Closed: Windows renames no open file.
+    # Closed first: Windows cannot rename an open file.
     os.chmod(out.name, 0o644)
     os.replace(out.name, path)

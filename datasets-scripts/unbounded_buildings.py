@@ -1,4 +1,4 @@
-"""Houses of the scenes without bounds, and a church tower. Lengths in metres, z is up."""
+"""Houses and a church tower for the unbounded scenes. Lengths in metres, z is up."""
 
 import numpy as np
 

@@ -1,12 +1,12 @@
-"""Renders captures without bounds with Mitsuba 3: JPEG pictures and a COLMAP model with exact poses and points as from SfM.
+"""Renders unbounded captures with Mitsuba 3: JPEG pictures and a COLMAP model with exact poses, and points as from SfM.
 
     python unbounded_capture.py garden FOLDER             # ring of cameras about a table; houses, trees, hills, sky
     python unbounded_capture.py street FOLDER             # walk through a street
     python unbounded_capture.py room FOLDER               # all around in a room with windows
     python unbounded_capture.py garden FOLDER --check     # only check what is there
 
-Points are triangulated from noisy pixels of three views or more, as far as they agree; tracks say which. A run that was interrupted goes on
-where it stopped when it is started the same again; until its end FOLDER is no capture.
+Points are triangulated from noisy pixels in at least three views, if they are consistent, and tracks are written. An
+interrupted run is resumed when started again with the same arguments; until the end FOLDER is not a capture.
 """
 
 import argparse
@@ -45,9 +45,9 @@ from unbounded_street import street
 
 SCENES = {"garden": garden, "room": room, "street": street}
 POINTS, PIXEL_NOISE, MATCHED = 4000, 0.35, 0.8
-# COLMAP drops points under 1.5 degrees by default, and with them all hills; its users lower that for captures like these.
+# By default COLMAP drops points under 1.5 degrees, and with them all hills; its users lower that for such captures.
 LEAST_ANGLE, LARGEST_ERROR = np.radians(0.15), 2.0
-# Descriptors do not match when they are seen from elsewhere, near or far.
+# Descriptors do not match across large differences in viewing direction or distance.
 LARGEST_TURN, LARGEST_ZOOM = np.cos(np.radians(50)), 2.5
 
 
@@ -55,14 +55,14 @@ NEAR_FAR = (0.05, 1e4)
 
 
 def load(world):
-    """What rays are cast in."""
+    """The scene in which rays are cast."""
     return load_scene(world["shapes"] + world.get("indoors", []), daylight(world))
 
 
 def daylight(world):
     sky = mi.Bitmap(world["sky"])
     return {
-        # Mitsuba's environment has y up.
+        # Mitsuba's environment map has y up.
         "sky": {"type": "envmap", "bitmap": sky, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)},
         "sun": {"type": "directional", "direction": list(world["sun"]), "irradiance": {"type": "rgb", "value": [2.9, 2.65, 2.3]}},
     }
@@ -74,8 +74,8 @@ def lamplight(world):
 
 
 def photographer(scene, world, spp):
-    """Takes the picture of a view. What is indoors is lit by lamps alone, and by nothing else that they light: daylight that finds a window, and
-    what is right beside a lamp, would be noise."""
+    """Returns the function that renders a view. Indoor surfaces are lit by lamps directly and by no other light:
+    daylight through a window, or indirect light close to a lamp, would be noisy."""
     camera, poses = world["camera"], world["poses"]
     if "indoors" not in world:
         return lambda i: render(scene, camera, poses[i], spp, i, NEAR_FAR, hide_emitters=False)
@@ -90,12 +90,12 @@ def photographer(scene, world, spp):
 
 
 def tolerance(distance):
-    """Of the depth test: what is nearer than the point by less does not hide it."""
+    """Tolerance of the depth test: a surface closer than the point by less does not occlude it."""
     return 2e-3 * max(1.0, distance)
 
 
 def detail(picture):
-    """Chance of a feature at every pixel: the gradient of the luminance."""
+    """Probability of a feature at every pixel, from the gradient of the luminance."""
     grey = picture.astype(float).mean(-1)
     gy, gx = np.gradient(grey)
     strength = np.hypot(gx, gy) + 0.5
@@ -138,7 +138,7 @@ def sparse_points(scene, camera, poses, pictures, rng):
 
 
 def check(scene, world, folder):
-    """Pictures, poses, points and tracks agree."""
+    """Checks that pictures, poses, points and tracks agree."""
     camera = world["camera"]
     poses, positions, colours, observations, tracks = read_model(folder / "sparse/0")
     pictures, rng = pictures_of(folder, len(poses)), np.random.default_rng(7)
@@ -153,7 +153,7 @@ def check(scene, world, folder):
             if (k, rows.index((x, y, point))) not in tracks[point]:
                 raise SystemExit(f"view {k}: a track of point {point} lacks it")
             p = camera.project(poses[k], positions[point])
-            if p is not None:  # noise may carry it over the edge
+            if p is not None:  # noise may move it over the edge
                 errors.append(np.hypot(p[0] - x, p[1] - y))
             differences.append(
                 np.abs(sample(pictures[k], np.clip((x, y), 1, (camera.width - 2, camera.height - 2))) - colours[point]).mean()
@@ -176,14 +176,14 @@ def check(scene, world, folder):
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", choices=SCENES)
-    parser.add_argument("folder", type=Path, help="where images/ and sparse/0/ go")
+    parser.add_argument("folder", type=Path, help="output folder, for images/ and sparse/0/")
     parser.add_argument(
         "--spp",
         type=samples,
         default=256,
-        help="samples per pixel (a square number); 64 leave noise of 3.5/255 (rms), four times as many half of it",
+        help="samples per pixel (a square number); 64 leave noise of 3.5/255 (rms), four times as many halve it",
     )
-    parser.add_argument("--only", type=int, nargs="*", help="render these views as PNG into FOLDER and stop (for a look)")
+    parser.add_argument("--only", type=int, nargs="*", help="render only these views as PNG into FOLDER, as a preview")
     parser.add_argument("--check", action="store_true", help="do not render, only check")
     arguments = parser.parse_args(arguments)
     ensure_outputs(arguments)

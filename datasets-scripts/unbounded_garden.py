@@ -28,7 +28,8 @@ from unbounded_parts import (
 
 
 def garden(seed=31):
-    """A laid table on a tiled terrace, grass and a bush about it, fence, trees and houses, hills; a ring of cameras."""
+    """A laid table on a tiled terrace with grass and a bush around it, a fence, trees, houses and hills; a ring of
+    cameras."""
     rng = np.random.default_rng(seed)
     colour = meadow(rng)
     shapes = [
@@ -173,7 +174,7 @@ def garden(seed=31):
         turn = 2 * np.pi * i / VIEWS + jitter.uniform(-0.04, 0.04)
         height = (1.25, 1.65, 2.1)[i % 3] + jitter.uniform(-0.08, 0.08)
         r = 3.0 * jitter.uniform(0.93, 1.07)
-        # Low cameras look level, so that what is far fills the upper half of their pictures.
+        # Low cameras look horizontally, so that distant objects fill the upper half of their pictures.
         target = (jitter.uniform(-0.15, 0.15), jitter.uniform(-0.15, 0.15), (1.15, 1.05, 1.0)[i % 3])
         poses.append(look((r * np.cos(turn), r * np.sin(turn), height), target))
     return dict(shapes=shapes, sky=sky(rng), sun=(0.45, 0.35, -0.82), poses=poses, camera=CAMERA)

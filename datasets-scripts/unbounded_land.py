@@ -1,4 +1,4 @@
-"""What lies about the scenes without bounds: fields, hills, a sky. Lengths in metres, z is up."""
+"""Surroundings of the unbounded scenes: fields, hills, a sky. Lengths in metres, z is up."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ FIELDS = [(126, 146, 74), (168, 164, 88), (104, 132, 70), (146, 126, 84), (190, 
 
 
 def meadow(rng):
-    """Colour of the ground at x, y: lawn, worn earth, further out fields of several crops, at last haze."""
+    """Colour of the ground at x, y: lawn and worn earth, farther out fields of several crops, and finally haze."""
     fine, middle, coarse, parcels = (tile_noise(rng, 512, f) for f in (0.3, 0.8, 1.1, 1.2))
 
     def colour(x, y):
@@ -35,7 +35,7 @@ def hills(rng, near, far, height, colours, haze=(176, 194, 214), thickness=2500.
     a, t = np.meshgrid(angle, s)
     r = near + (far - near) * t
     ridge, bump = tile_noise(rng, 256, 1.4), tile_noise(rng, 256, 1.6)
-    # By angle, so that the ring closes.
+    # As a function of the angle, so that the ring closes.
     profile = 0.55 + 0.22 * at(ridge, a, 0 * a + 1.3, 2 * np.pi)
     z = height * np.clip(
         np.sin(np.pi * 0.5 * t) ** 1.3 * np.clip(profile, 0.12, None) + 0.06 * t * at(bump, r * np.cos(a), r * np.sin(a), 900.0), 0, None
@@ -66,5 +66,5 @@ def sky(rng, size=(512, 1024), cover=0.15):
     cloud = np.clip((field - cover) * 1.1, 0, 1) * np.clip(up * 14, 0, 1)
     shade = mixed((0.98, 0.97, 0.95), (0.62, 0.65, 0.70), (field - cover) * 0.55 - 0.3)
     picture = blue * (1 - cloud[..., None]) + shade * cloud[..., None]
-    picture[e < -0.02] = 0.02  # behind the ground; what is sampled there is lost
+    picture[e < -0.02] = 0.02  # behind the ground; samples there are wasted
     return picture.astype(np.float32)

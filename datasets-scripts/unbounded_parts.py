@@ -1,4 +1,4 @@
-"""What scenes without bounds are put together from: noise, ground, boxes and tubes, plants. Lengths in metres, z is up."""
+"""Building blocks of unbounded scenes: noise, ground, boxes and tubes, plants. Lengths in metres, z is up."""
 
 import numpy as np
 
@@ -52,12 +52,12 @@ def quad(corners, texture, repeat=(1, 1)):
 
 
 def joined(parts, texture):
-    """One shape of many (positions, uvs, triangles)."""
+    """Joins several (positions, uvs, triangles) into one shape."""
     return shape(*merged(parts), texture)
 
 
 def box_part(centre, size, turn=0.0):
-    """Sides and lid of a box; every face has the whole texture. `centre` is that of its bottom."""
+    """Sides and lid of a box; every face has the whole texture. `centre` is the centre of its bottom."""
     x, y, z = np.asarray(size, float) / [2, 2, 1]
     corner = {(i, j, k): (i * x, j * y, k * z) for i in (-1, 1) for j in (-1, 1) for k in (0, 1)}
     rings = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
@@ -87,7 +87,8 @@ def tube_part(points, radii, segments=6):
 
 
 def square_ring(inner, outer, texture, cells=16):
-    """The ground between two squares of these half sides about the origin, in z = 0; the texture spans the outer one."""
+    """The ground between two squares with these half sides around the origin, in z = 0; the texture spans the outer
+    one."""
     line = np.linspace(-outer, outer, cells + 1)
     line = np.unique(np.r_[line[np.abs(line) > inner + 1e-9], -inner, inner]) if inner else line
     x, y = np.meshgrid(line, line)

@@ -1,7 +1,8 @@
-"""A living room seen from within, all around, with a garden behind its windows: axes of cameras meet nowhere before them.
+"""A living room seen from inside in all directions, with a garden behind its windows: the cameras' axes do not meet in
+front of them.
 
-A scene: shapes, sky [H, W, 3], sun (the direction of its light), what is indoors, lamps (position, watts a steradian), poses, camera; every number
-from one seed. Lengths in metres, z is up."""
+A scene: shapes, sky [H, W, 3], sun (the direction of its light), indoor shapes, lamps (position, watts per steradian),
+poses, camera; every number from one seed. Lengths in metres, z is up."""
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from unbounded_parts import (
     tube_part,
 )
 
-# Of the room, about its middle: 7 m by 5 m, 2.7 m high.
+# Size of the room, centred at the origin: 7 m by 5 m, 2.7 m high.
 X, Y, HIGH = 3.5, 2.5, 2.7
 # Panes of the wall at +x as (from, to, sill, lintel), along y.
 WINDOWS = [(-1.9, -0.25, 0.8, 2.3), (0.25, 1.9, 0.8, 2.3)]
@@ -135,7 +136,7 @@ def shelf(rng, corner, width, rows, wood):
 
 
 def plant_pot(spot, size, rng, leaves, dark, light, leaf_size=0.16):
-    """A glazed pot with leaves of all directions."""
+    """A glazed pot with leaves in all directions."""
     profile = [(size * 0.6, 0), (size * 0.95, size * 1.5), (size, size * 1.6), (size * 0.86, size * 1.55)]
     pot = revolved(profile, spot, as_texture(np.array((86, 116, 130), float) * (1 + 0.1 * tile_noise(rng, 128, 0.8))[..., None]), 1.0, 32)
     return [pot, bush(np.add(spot, (0, 0, size * 1.5)), (size * 1.7, size * 1.7, size * 3.2), rng, leaves, leaf_size, dark, light)]
@@ -153,7 +154,7 @@ def fringe(rng, corners, count):
 
 
 def curtain(rng, y0, y1, colour):
-    """Cloth in folds before the wall at +x."""
+    """Cloth in folds in front of the wall at +x."""
     y, z = np.meshgrid(np.linspace(y0, y1, 64), np.linspace(0.03, 2.45, 24))
     fold = 0.045 * np.sin(2 * np.pi * (y - y0) / 0.11 + 0.6 * np.sin(3 * z)) * (0.6 + 0.4 * (2.45 - z) / 2.45)
     positions = np.stack([X - 0.12 + fold, y, z], -1).reshape(-1, 3)
@@ -169,14 +170,14 @@ def curtain(rng, y0, y1, colour):
 
 
 def wall_with_windows(texture):
-    """The wall at +x in bands about its panes, which are open."""
+    """The wall at +x as strips around its panes, which are open."""
     shapes, rows = [], [0, WINDOWS[0][2], WINDOWS[0][3], HIGH]
     columns = sorted({-Y, Y, *(edge for window in WINDOWS for edge in window[:2])})
     for z0, z1 in zip(rows, rows[1:]):
         for y0, y1 in zip(columns, columns[1:]):
             if z0 == WINDOWS[0][2] and any(window[0] == y0 for window in WINDOWS):
                 continue
-            # Seen from within: y runs to the left.
+            # Seen from inside: y runs to the left.
             u = lambda y: (Y - y) / (2 * Y)
             uvs = [[u(y1), z0 / HIGH], [u(y0), z0 / HIGH], [u(y0), z1 / HIGH], [u(y1), z1 / HIGH]]
             shapes.append(shape([(X, y1, z0), (X, y0, z0), (X, y0, z1), (X, y1, z1)], uvs, [[0, 1, 2], [0, 2, 3]], texture))
@@ -263,13 +264,13 @@ def room(seed=61):
         jitter = np.random.default_rng(seed * 1000 + i)
         lap, t = divmod(i, VIEWS // 2)
         angle = 2 * np.pi * (t + 0.5 * lap) / (VIEWS // 2)
-        # Out of the middle on the side that is looked at in one lap, on the other side in the other.
+        # In one lap the camera is displaced towards the side that it looks at, in the other lap away from it.
         away = (0.75, -0.7)[lap] + jitter.uniform(-0.08, 0.08)
         heading = np.array([np.cos(angle), np.sin(angle), 0.0])
         eye = np.array([-0.2, 0, 1.45]) + heading * away * [1.3, 1.0, 0] + [0, 0, (-0.15, 0.15)[lap] + jitter.uniform(-0.08, 0.08)]
         turned = angle + jitter.uniform(-0.12, 0.12)
         target = eye + [np.cos(turned), np.sin(turned), jitter.uniform(-0.22, 0.06)]
         poses.append(look(eye, target))
-    # Many, so that nothing is quite dark; alike, so that which of them a sample takes makes little noise.
+    # Many lamps, so that no place is quite dark; equal ones, so that the random choice among them adds little noise.
     lamps = [((x, y, (2.2, 1.1)[(i + j) % 2]), 1.1) for i, x in enumerate((-2.4, -0.8, 0.8, 2.4)) for j, y in enumerate((-1.1, 1.1))]
     return dict(shapes=shapes, sky=sky(rng, cover=0.0), sun=(-0.55, 0.35, -0.76), indoors=indoors, lamps=lamps, poses=poses, camera=CAMERA)

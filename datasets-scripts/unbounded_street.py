@@ -1,4 +1,4 @@
-"""A street of houses, seen on a walk down one side and up the other.
+"""A street of houses, seen while walking down one side and up the other.
 
 A scene: shapes, sky [H, W, 3], sun (the direction of its light), poses, camera; every number from one seed. Lengths in metres, z is up."""
 
@@ -116,7 +116,7 @@ def street(seed=47):
             shapes.append(quad([(back, a, 0), (back, b, 0), (back, b, height), (back, a, height)], plain))
             chimney = np.array([front + side * 4, y + width * rng.uniform(0.25, 0.75), ridge - 0.4])
             fittings.append(box_part(chimney, (0.7, 0.6, 1.5)))
-            # What stands out from the wall: sills, a cornice, a rain pipe, balconies with thin rails.
+            # Protruding parts: sills, a cornice, a rain pipe, balconies with thin rails.
             bay, storey = width / columns, height / floors
             for f in range(floors):
                 for c in range(columns):
@@ -154,7 +154,7 @@ def street(seed=47):
     shapes += bunting(rng, wires)
     shapes.append(joined(iron + wires, flat((38, 40, 42))))
 
-    # In the middle: a fountain, further on a tree in a round bed, a cart, pots before the doors.
+    # In the middle: a fountain; farther on a tree in a round bed, a cart, pots in front of the doors.
     stone = as_texture(np.array((178, 168, 150), float) * (1 + 0.09 * tile_noise(rng, 256, 0.8))[..., None])
     basin = [(1.5, 0.0), (1.55, 0.05), (1.45, 0.12), (1.4, 0.5), (1.5, 0.58), (1.5, 0.66), (1.3, 0.66), (1.28, 0.45)]
     shapes.append(revolved(basin, (0.2, 7.0, 0), stone, 0.0, 48))
@@ -199,7 +199,7 @@ def street(seed=47):
         y = -7.0 + 9.5 * t if there else 2.5 - 9.5 * t
         side = -1 if there else 1
         eye = (side * (2.1 + 0.5 * np.sin(5 * t)) + jitter.uniform(-0.1, 0.1), y, 1.65 + jitter.uniform(-0.15, 0.25))
-        # The gaze swings from wall to wall about the fountain and what lies behind it.
+        # The viewing direction swings from wall to wall, around the fountain and the view behind it.
         target = (
             0.2 + 3.2 * np.sin(2 * np.pi * 3 * t + (0 if there else 2)) + jitter.uniform(-0.4, 0.4),
             max(7.0, y + 6.5),
@@ -230,7 +230,7 @@ def sign(front, side, y, rng, iron):
 
 
 def lamp(spot, shapes):
-    """A post with a lantern; its iron is returned, its glass goes to `shapes`."""
+    """A post with a lantern; its iron part is returned, its glass is added to `shapes`."""
     spot = np.asarray(spot, float)
     positions, uvs, triangles, _ = revolve(np.array([(0.1, 0), (0.1, 0.3), (0.05, 0.45), (0.045, 3.2), (0.08, 3.25)]), spot, 10)
     shapes.append(revolved([(0.09, 3.25), (0.17, 3.6), (0.17, 3.62)], spot, flat((232, 222, 190)), 1.0, 8))

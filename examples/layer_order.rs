@@ -1,7 +1,8 @@
-//! What rays from the cameras to the means would change in the order of splats and layers, on held-out views:
-//! `cargo run --release --example layer_order -- SCENE.glb CAPTURE MAX_SIDE`.
+//! Measures, on held-out views, what changes if splats and layers are ordered by the hits of rays from the camera to
+//! the means of splats: `cargo run --release --example layer_order -- SCENE.glb CAPTURE MAX_SIDE`.
 //!
-//! Renders with the f64 reference, first by the depth images of the layers as the rule has it, then by rays.
+//! Renders with the f64 reference, first with the depth images of the layers, as the composition rule says, then with
+//! the rays.
 
 #![allow(clippy::print_stdout, reason = "a program that reports")]
 

@@ -1,8 +1,8 @@
-//! How often the order of splats and layers flips while a camera moves a little, by the three modes, on held-out views:
-//! `cargo run --release --example order_flips -- SCENE.glb CAPTURE MAX_SIDE`.
+//! Measures, on held-out views, how often the order of splats and layers flips while a camera moves a little, in each
+//! of the three order modes: `cargo run --release --example order_flips -- SCENE.glb CAPTURE MAX_SIDE`.
 //!
-//! Every view is compared with itself moved sideways by a hundredth of the median depth of the points before it, about half a degree around
-//! what it looks at.
+//! Every view is compared with itself moved sideways by a hundredth of the median depth of the points in front of it,
+//! about half a degree around what it looks at.
 
 #![allow(clippy::print_stdout, reason = "a program that reports")]
 

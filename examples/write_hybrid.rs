@@ -1,7 +1,7 @@
 //! Builds a small hybrid scene by hand and writes it: `cargo run --release --example write_hybrid -- scene.glb`
 //! (or `.usda`, `.usdz`).
 //!
-//! A half-transparent square, its colour depending on the direction of view, in a ball of splats.
+//! A half-transparent square with view-dependent colour, inside a ball of splats.
 
 use std::error::Error;
 use std::path::Path;
@@ -22,14 +22,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let base = Texture::new(size, size, 4, base.collect())?;
     let bands = Texture::new(band_size, band_size, 9, vec![0.1; (band_size * band_size * 9) as usize])?;
     let positions = [(-1., -1.), (1., -1.), (1., 1.), (-1., 1.)].map(|(x, y)| Vec3::new(x, y, 0.0)).to_vec();
-    // The two triangles lie apart in UV space: the diagonal is a seam.
+    // The two triangles are apart in UV space: the diagonal is a seam.
     let uvs = vec![
         [Vec2::new(0.0, 0.0), Vec2::new(0.9, 0.0), Vec2::new(0.9, 0.9)],
         [Vec2::new(0.1, 0.1), Vec2::new(1.0, 1.0), Vec2::new(0.1, 1.0)],
     ];
     let mesh = Mesh::new(positions, vec![[0, 1, 2], [0, 2, 3]], uvs, Atlas::new(base, Some(bands))?)?;
 
-    // Points of a sphere by the golden angle.
+    // Points on a sphere, spaced by the golden angle.
     let (count, degree) = (1000u16, 3);
     let means = (0..count).map(|i| {
         let z = 1.0 - 2.0 * (f32::from(i) + 0.5) / f32::from(count);
@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         sh.collect(),
     )?;
 
-    // Off the centre, so that the seam does not run through pixel centres, which rounding would give to either side.
+    // Off centre, so that the seam does not run through pixel centres, which rounding could assign to either side.
     let intrinsics = Intrinsics { width: 640, height: 480, fx: 600.0, fy: 600.0, cx: 319.7, cy: 240.2 };
     let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0))?;
     let scene = HybridScene { splats, meshes: vec![mesh], composition: Composition::default() };

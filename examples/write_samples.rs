@@ -1,7 +1,7 @@
-//! Writes what fuzzing starts from: `cargo run --release --example write_samples -- fuzz/corpus`.
+//! Writes the initial corpus for fuzzing: `cargo run --release --example write_samples -- fuzz/corpus`.
 //!
-//! A folder per target. Of a capture the files stand one after the other, each but the last preceded by its length in two
-//! bytes.
+//! Creates a folder per target. The files of a capture are concatenated, each but the last preceded by its length in
+//! two bytes.
 
 use std::error::Error;
 use std::path::Path;

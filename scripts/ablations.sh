@@ -1,18 +1,20 @@
 #!/usr/bin/env bash
-# What each choice of the hybrid is worth, at equal floats: `ablations.sh [options of centaur bench]`, such as `--scenes demo` or `--jobs 2`.
-# On the demo capture, on those of $CENTAUR_DATA and on those of `make unbounded-captures`, as far as they are there: 25 runs a capture and seed,
-# about 2 minutes a run on 2 cores without a GPU. The table goes to out/ablations.
-# ABLATIONS_FLAGS="--max-side 176 …" (in place of those of training below), ABLATIONS_OUT=FOLDER, ABLATIONS_CENTAUR=PROGRAM,
-# ABLATIONS_LPIPS=out/lpips-vgg.safetensors (of `make lpips-weights`: scores LPIPS, too).
+# Measures the effect of each choice of the hybrid, at equal floats: `ablations.sh [options of centaur bench]`, such as
+# `--scenes demo` or `--jobs 2`.
+# Uses the demo capture, and as far as they exist those of $CENTAUR_DATA and those of `make unbounded-captures`: 25 runs
+# per capture and seed, about 2 minutes per run on 2 cores without a GPU. The table goes to out/ablations.
+# Variables: ABLATIONS_FLAGS="--max-side 176 …" (replaces the training flags below), ABLATIONS_OUT=FOLDER,
+# ABLATIONS_CENTAUR=PROGRAM, ABLATIONS_LPIPS=out/lpips-vgg.safetensors (from `make lpips-weights`: also scores LPIPS).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 scenes=target/ablations
 mkdir -p $scenes
 . scripts/link-captures.sh
 read -ra flags <<<"${ABLATIONS_FLAGS:---iterations 1000 --surface-iterations 600 --warmup 600 --max-side 356 --max-floats 1000000}"
-# Warm-ups in the proportion to joint iterations that 3,000 and 9,000 have to 30,000; by default a seventh of the iterations is before the surface,
-# at least 400 and at most half, and half where the program has it so.
-value() { # flag, value where it is not given
+# Warm-ups in the same proportion to joint iterations as 3,000 and 9,000 to 30,000. As in the program, by default a
+# seventh of the iterations precedes the surface, at least 400 and at most half, and always half with refined poses or
+# without MCMC.
+value() { # flag, default value
     local found=$2 i
     for ((i = 0; i < ${#flags[@]}; i++)); do
         case "${flags[i]}" in "$1") found=${flags[i + 1]:?$1 needs a value} ;; "$1="*) found=${flags[i]#*=} ;; esac
@@ -28,7 +30,8 @@ joint=$((joint > 0 ? joint : 0))
 [ -z "${ABLATIONS_LPIPS:-}" ] || flags+=(--lpips-weights "$ABLATIONS_LPIPS")
 centaur=(cargo run --release --quiet --)
 [ -z "${ABLATIONS_CENTAUR:-}" ] || centaur=("$ABLATIONS_CENTAUR")
-# Captures without masks/ are trained whole. The first is what the others change; --warmup 0 leaves every triangle in place, with maps of half the budget.
+# Captures without masks/ are trained unmasked. The first variant is the one that the others change; --warmup 0 keeps
+# every triangle, with maps of half the budget.
 "${centaur[@]}" bench $scenes -o "${ABLATIONS_OUT:-out/ablations}" "$@" \
     --variant hybrid \
     --variant splats=--no-mesh \

@@ -1,18 +1,20 @@
 #!/usr/bin/env bash
-# Hybrid against splats alone at the same allowance of floats, on the demo capture and on the captures in $CENTAUR_DATA:
-# at larger sizes than `make equal-floats` and without filters. `captures.sh [SEED…]`, by default 0 and 1; about 2 minutes a run on 2 cores without a GPU.
-# What is done is not done again, and what was stopped goes on; after a change of code or settings delete the folder. Reports, pictures and JSON go to out/captures.
-# CAPTURES_CENTAUR=PROGRAM, CAPTURES_OUT=FOLDER.
+# Compares hybrid with splats alone at the same number of floats, on the demo capture and on the captures in
+# $CENTAUR_DATA: at larger sizes than `make equal-floats` and without filters. `captures.sh [SEED…]`, by default 0 and
+# 1; about 2 minutes per run on 2 cores without a GPU.
+# Finished runs are not repeated, and stopped ones are resumed; after a change of code or settings delete the folder.
+# Reports, pictures and JSON go to out/captures.
+# Variables: CAPTURES_CENTAUR=PROGRAM, CAPTURES_OUT=FOLDER.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 data=${CENTAUR_DATA:-}
 out=${CAPTURES_OUT:-out/captures}
 mkdir -p "$out"
 . scripts/one-program.sh "${CAPTURES_CENTAUR:-}"
-# A training that is stopped ends well, which a shell takes for the end of that command alone.
+# A stopped training exits normally, so the shell would only end that command.
 trap 'exit 130' INT
 
-compare() { # name, capture, floats, iterations, flags of the capture
+compare() { # name, capture, floats, iterations, flags for the capture
     local name=$1 capture=$2 floats=$3 iterations=$4 kind
     shift 4
     if [ ! -d "$capture" ]; then

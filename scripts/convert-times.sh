@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Conversions by Centaur and by PlayCanvas' splat-transform (npm) of the same splats of degree 3, each the best of several
-# runs: seconds of wall time, seconds of processor time, peak memory. `convert-times.sh [SPLATS [RUNS]]`, by default
-# 1,000,000 and 3. Compare wall times on an idle machine only. Needs node 20, GNU time, and 2.5 kB of disk per splat.
+# Compares conversions by Centaur and by PlayCanvas' splat-transform (npm) of the same splats of degree 3, taking the
+# best of several runs: wall time in seconds, processor time in seconds, peak memory. `convert-times.sh [SPLATS
+# [RUNS]]`, by default 1,000,000 and 3. Compare wall times on an idle machine only. Needs node 20, GNU time, and 2.5 kB
+# of disk per splat.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 splats=${1:-1000000} runs=${2:-3}
@@ -16,7 +17,7 @@ folder=$(mktemp -d "${TMPDIR:-/tmp}/centaur-convert.XXXXXX")
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 
-# Smooth fields with noise, which compress about as trained splats do.
+# Smooth fields with noise, which compress about as well as trained splats.
 cat >splats.mjs <<'JS'
 import fs from 'node:fs';
 const n = Number(process.argv[2]), out = fs.openSync('scene.ply', 'w');
@@ -51,7 +52,7 @@ measure() { # program and arguments; prints wall, processor time and memory of t
     done | sort -n | awk 'NR == 1 { printf "%6.2f s %6.2f s %6.0f MB", $1, $2 + $3, $4 / 1024 }'
 }
 
-compare() { # name, input, output, edits of Centaur, edits of splat-transform
+compare() { # name, input, output, options of Centaur, options of splat-transform
     local name=$1 input=$2 output=$3
     local own their
     own=$(measure "$ours" convert "$input" "ours-$output" --quiet $4)
@@ -59,7 +60,7 @@ compare() { # name, input, output, edits of Centaur, edits of splat-transform
     printf '%-22s | %s %5.0f MB | %s %5.0f MB\n' "$name" "$own" "$(size "ours-$output")" "$their" "$(size "theirs-$output")"
 }
 
-size() { # MB
+size() { # in MB
     awk -v bytes="$(stat -c %s "$1")" 'BEGIN { print bytes / 1e6 }'
 }
 
@@ -72,6 +73,6 @@ compare 'PLY to PLY, Morton' scene.ply sorted.ply '--morton' '-m'
 compare 'PLY to glb' scene.ply a.glb '' ''
 compare 'SPZ to PLY' theirs-a.spz spz.ply '' ''
 compare 'compressed PLY to PLY' theirs-a.compressed.ply packed.ply '' ''
-# splat-transform searches its palette by comparing all with all: without a GPU a million splats take it many minutes.
+# splat-transform builds its palette by exhaustive search: without a GPU a million splats take many minutes.
 node splats.mjs 10000
 compare 'PLY to SOG, 10,000' scene.ply a.sog '' ''

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# ensure-blender.sh PYTHON: Blender as a module of PYTHON is linked to libraries of X, which machines without a screen lack; installs them then.
+# ensure-blender.sh PYTHON: installs the X libraries to which Blender as a module of PYTHON is linked, if the machine
+# lacks them because it has no screen.
 set -euo pipefail
 
 [ "$(uname)" = Linux ] || exit 0

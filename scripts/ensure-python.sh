@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# ensure-python.sh VERSION PYTHON…: fails with one line unless PYTHON, in words, is of that version or a later one, and of no other where
-# VERSION begins with =.
+# ensure-python.sh VERSION PYTHON…: fails with one line unless the command PYTHON is of that version or a later one, or
+# of exactly that version if VERSION begins with =.
 set -euo pipefail
 
 wanted=$1

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs what a fresh Debian or Ubuntu lacks to build, run and test Centaur: a C++ compiler (for meshoptimizer and FLIP), Python and, where
-# the machine has no Vulkan adapter, Mesa's software adapter. Does nothing if all are there.
+# Installs what a fresh Debian or Ubuntu lacks to build, run and test Centaur: a C++ compiler (for meshoptimizer and
+# FLIP), Python and, if the machine has no Vulkan adapter, Mesa's software adapter. Does nothing if all of these exist.
 set -euo pipefail
 cd "$(dirname "$0")"
 

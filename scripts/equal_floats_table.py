@@ -1,4 +1,5 @@
-"""Hybrid beside splats alone, from folders of `centaur bench` with the variants `hybrid` and `splats`: a table in Markdown.
+"""Compares hybrid with splats alone, from folders of `centaur bench` with the variants `hybrid` and `splats`: a
+Markdown table.
 
 python3 scripts/equal_floats_table.py out/equal-floats/400000 out/equal-floats/800000
 """
@@ -8,10 +9,10 @@ import sys
 from pathlib import Path
 
 VARIANTS = ("hybrid", "splats")
-# Columns without differences, and what splats alone have none of.
+# Columns without differences, and columns that splats alone do not have.
 SIZES = ("triangles", "floats", "file, MB", "s/joint iteration")
 OF_HYBRIDS = ("triangles",)
-# Column, number of evaluation["…"] and its digits.
+# Column, key in evaluation["…"] and number of digits.
 COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 2),
     ("SSIM", lambda e: e["ssim_inria"], 3),
@@ -26,14 +27,15 @@ COLUMNS = [
 
 
 def results(folder, variants=VARIANTS):
-    """{scene: {variant: [evaluation of every seed]}} of one folder of `centaur bench`, each with its seed."""
+    """{scene: {variant: [evaluation of every seed]}} for one folder of `centaur bench`, each evaluation with its
+    seed."""
     scenes = {}
     for variant in variants:
         for file in sorted((folder / variant).glob("*.json")):
             result = json.loads(file.read_text())
             if "job" in result:
                 job, evaluation = result["job"], {**result["evaluation"], "seed": result["job"]["seed"]}
-                # Jobs that shared a machine took longer by it.
+                # Times of jobs that shared a machine are too long.
                 if job.get("at_a_time") != 1:
                     evaluation.pop("seconds_per_iteration", None)
                 scenes.setdefault(job["scene"], {v: [] for v in variants})[variant].append(evaluation)
@@ -46,7 +48,8 @@ def mean(values):
 
 
 def paired(runs, name):
-    """Runs of seeds that all variants have, since seeds may differ by as much as variants do; what has no partner is said."""
+    """Runs with seeds that all variants have, since seeds can differ as much as variants do; reports runs without a
+    partner."""
     by_seed = {v: {e["seed"]: e for e in of} for v, of in runs.items()}
     common = set.intersection(*map(set, by_seed.values()))
     for v, of in by_seed.items():
@@ -56,7 +59,7 @@ def paired(runs, name):
 
 
 def means(runs, name, value):
-    """Per variant, of paired runs: where there is a difference, of pairs that both have the value."""
+    """Means per variant over paired runs; for columns with a difference, over pairs in which both have the value."""
     pairs = list(zip(*([value(e) for e in runs[v]] for v in VARIANTS)))
     if name not in SIZES:
         pairs = [pair for pair in pairs if None not in pair]
@@ -68,7 +71,7 @@ def written(value, digits, sign=""):
 
 
 def cells(pairs):
-    """Of (value of hybrid, value of splats) per column, with their differences where there are; splats as a share."""
+    """Cells for (value of hybrid, value of splats) per column, with differences where applicable; splats as a share."""
     row = []
     for (name, _, digits), (a, b) in zip(COLUMNS, pairs):
         row += [written(a, digits)] + ([] if name in OF_HYBRIDS else [written(b, digits)])
@@ -95,7 +98,7 @@ def table(folders):
                 pairs = [means(runs, name, value) for name, value, _ in COLUMNS]
                 lines.append([scene, budget, str(len(runs[VARIANTS[0]]))] + cells(pairs))
     for budget, scenes in budgets.items():
-        # Of FLIP and LPIPS, only if every capture has it.
+        # FLIP and LPIPS only if every capture has them.
         of_scenes = [zip(*(means(runs, name, value) for runs in scenes.values())) for name, value, _ in COLUMNS]
         pairs = [tuple(None if None in all_of else mean(all_of) for all_of in column) for column in of_scenes]
         if scenes:
@@ -104,7 +107,7 @@ def table(folders):
 
 
 def caption(folders):
-    """What the numbers are, with whose features LPIPS compares."""
+    """Explains the numbers, including the network of LPIPS."""
     evaluations = [e for folder in folders for runs in results(folder).values() for v in VARIANTS for e in runs[v]]
     nets = sorted({e["lpips"]["net"] for e in evaluations if e.get("lpips")})
     by = f" by {' and '.join(nets)}" if nets else ""

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Succeeds if a Vulkan adapter is to be expected: the loader is there, and a driver that is either software (lavapipe,
-# SwiftShader) or has a device to drive. Driver manifests alone say little: Mesa installs those of all vendors.
+# Succeeds if a Vulkan adapter can be expected: the loader exists, and a driver that is either software (lavapipe,
+# SwiftShader) or has a device. Driver manifests alone are not enough: Mesa installs those of all vendors.
 set -euo pipefail
-# No `grep -q` here: it closes the pipe at the first match, and what writes into it then fails now and then.
+# No `grep -q` here: it closes the pipe at the first match, which sometimes makes the writing command fail.
 
 loader() {
     PATH=$PATH:/sbin:/usr/sbin ldconfig -p 2>/dev/null | grep 'libvulkan\.so\.1' >/dev/null

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# ignored-tests.sh [REASON…]: lists the tests that `cargo test` leaves out and why, except those with one of these reasons.
+# ignored-tests.sh [REASON…]: lists the tests that `cargo test` leaves out, with reasons, except those with one of the
+# given reasons.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# install.sh PACKAGE…: installs Debian packages, as root or through sudo, three attempts.
+# install.sh PACKAGE…: installs Debian packages, as root or through sudo, with three attempts.
 set -euo pipefail
 
 if ! command -v apt-get >/dev/null; then
@@ -13,9 +13,9 @@ if [ "$(id -u)" -ne 0 ]; then
 fi
 echo "installing $*"
 for attempt in 1 2 3; do
-    # One source out of reach is not all of them.
+    # A single unreachable source does not prevent the installation.
     "${as_root[@]}" apt-get update -qq || echo "warning: apt-get update failed: installing what the lists know that are there" >&2
-    # sudo drops the environment, hence env.
+    # sudo clears the environment, hence env.
     if "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends "$@" >/dev/null; then
         exit 0
     fi

@@ -1,7 +1,7 @@
-# Sourced in the root of the repository: links the demo, the captures of $CENTAUR_DATA and those of `make unbounded-captures`, as far as they
-# are there, into the folder $scenes.
+# Sourced in the root of the repository: links the demo and, as far as they exist, the captures of $CENTAUR_DATA and
+# those of `make unbounded-captures` into the folder $scenes.
 link() { # name, capture
-    # A link to a capture stays: another run may be reading through it.
+    # An existing link to the same capture is kept: another run may be reading through it.
     if [ -d "$2/sparse" ]; then
         local place
         place=$(cd "$2" && pwd -P)

@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# Stable and surface-consistent against direct order where splats lie near surfaces: scenes whose true surface is known (the demo, and those of
-# `make unbounded-captures` as far as they are there), given as the mesh, so that runs differ in the order alone.
-# `order-modes.sh [options of centaur bench]`, such as `--seeds 0,1,2`; about 1 minute a run on 2 cores without a GPU. What is done is not
-# done again. Results go to out/order-modes/SCENE, one table of all differences to out/order-modes/table.md.
-# ORDER_MODES_FLAGS="--iterations 300" (in place of those below), ORDER_MODES_OUT=FOLDER, ORDER_MODES_CENTAUR=PROGRAM,
-# ORDER_MODES_PYTHON=PROGRAM (with numpy and pillow, for the surfaces).
+# Compares stable and surface-consistent order with direct order where splats lie near surfaces: on scenes whose true
+# surface is known (the demo and, as far as they exist, those of `make unbounded-captures`). The surface is given as the
+# mesh, so that runs differ only in the order. `order-modes.sh [options of centaur bench]`, such as `--seeds 0,1,2`;
+# about 1 minute per run on 2 cores without a GPU. Finished runs are not repeated. Results go to out/order-modes/SCENE,
+# and a table of all differences to out/order-modes/table.md.
+# Variables: ORDER_MODES_FLAGS="--iterations 300" (replaces those below), ORDER_MODES_OUT=FOLDER,
+# ORDER_MODES_CENTAUR=PROGRAM, ORDER_MODES_PYTHON=PROGRAM (with numpy and pillow, for the surfaces).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 scenes=target/order-modes
@@ -14,7 +15,7 @@ read -ra flags <<<"${ORDER_MODES_FLAGS:---max-side 176 --iterations 800 --warmup
 mkdir -p $scenes "$out"
 . scripts/link-captures.sh
 
-# A bench that is stopped ends in its own way, which a shell takes for the end of that command alone.
+# A stopped bench ends in its own way, so the shell would only end that command.
 trap 'exit 130' INT
 failed=0
 for scene in demo garden street room; do

@@ -1,4 +1,5 @@
-"""Orders that hold over a splat less the direct one, from folders of `centaur bench` with the variants below: a table in Markdown.
+"""Differences between per-splat orders and the direct order, from folders of `centaur bench` with the variants below: a
+Markdown table.
 
 python3 scripts/order_modes_table.py out/order-modes
 """
@@ -10,7 +11,7 @@ from equal_floats_table import results, written
 
 DIRECT = "direct"
 COMPARED = ("stable", "surface-consistent")
-# Column, number of evaluation["…"], its digits, and the sign of what is better.
+# Column, key in evaluation["…"], number of digits, and the sign of an improvement.
 COLUMNS = [
     ("PSNR", lambda e: e["psnr"], 3, 1),
     ("SSIM", lambda e: e["ssim_inria"], 4, 1),
@@ -19,14 +20,14 @@ COLUMNS = [
 
 
 def differences(runs, variant, value):
-    """Of pairs of one seed each."""
+    """Differences of pairs with equal seeds."""
     direct = {e["seed"]: e for e in runs[DIRECT]}
     pairs = [(value(e), value(direct[e["seed"]])) for e in runs[variant]]
     return [a - b for a, b in pairs if None not in (a, b)]
 
 
 def summary(found, digits, better):
-    """Mean ± its standard error, and in how many of all pairs the first is better."""
+    """Mean ± its standard error, and the number of pairs in which the first is better."""
     n = len(found)
     if n == 0:
         return ["–", "–"]

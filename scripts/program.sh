@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Where cargo puts the program, wherever its configuration says: `program.sh`.
+# Prints the path where cargo puts the program, according to its configuration: `program.sh`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(cargo metadata --format-version 1 --no-deps | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# run-ignored-tests.sh NAME… [OPTION…]: runs the ignored integration tests that have one of the NAMEs in theirs, with options of the harness.
-# Fails where a NAME is in none: of that the harness says nothing.
+# run-ignored-tests.sh NAME… [OPTION…]: runs the ignored integration tests whose names contain one of the NAMEs, with
+# options for the test harness. Fails if a NAME is in none, which the harness would not report.
 set -euo pipefail
 
 test=(cargo test --release --test integration)

@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
-# Hybrid and splats alone, with and without the filters of Mip-Splatting, trained on pictures of a quarter of the size and scored at
-# ×½, ×1, ×2 and ×4 of that: `scales.sh [NAME…]`, by default skull66 and banana16, captures in $CENTAUR_DATA. About 4 minutes a run on 2 cores
-# without a GPU, four runs a capture; what is done is not done again. Scenes, scores and table.md go to out/scales/FLOATS-ITERATIONS.
-# SCALES_FLOATS=1475000, SCALES_ITERATIONS=1000, SCALES_CENTAUR=PROGRAM, SCALES_OUT=FOLDER.
+# Trains hybrid and splats alone, with and without the filters of Mip-Splatting, on pictures of a quarter of the size
+# and scores them at ×½, ×1, ×2 and ×4 of that size: `scales.sh [NAME…]`, by default skull66 and banana16, captures in
+# $CENTAUR_DATA. About 4 minutes per run on 2 cores without a GPU, four runs per capture; finished runs are not
+# repeated. Scenes, scores and table.md go to out/scales/FLOATS-ITERATIONS.
+# Variables: SCALES_FLOATS=1475000, SCALES_ITERATIONS=1000, SCALES_CENTAUR=PROGRAM, SCALES_OUT=FOLDER.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 floats=${SCALES_FLOATS:-1475000}
 iterations=${SCALES_ITERATIONS:-1000}
 out=${SCALES_OUT:-out/scales}/$floats-$iterations
 . scripts/one-program.sh "${SCALES_CENTAUR:-}"
-# A training that is stopped ends well, which a shell takes for the end of that command alone.
+# A stopped training exits normally, so the shell would only end that command.
 trap 'exit 130' INT
 
 hybrid=(--surface-iterations $((iterations * 6 / 10)) --warmup $((iterations * 6 / 10)) --layers 1 --triangles 6000 --texture-size 512)
@@ -35,7 +36,7 @@ for name in "$@"; do
             fi
             for size in 8 4 2 1; do
                 [ ! -f "$scene-$size.json" ] || continue
-                # Written whole or not at all.
+                # Written completely or not at all.
                 centaur eval "$scene.glb" "$capture" --downscale $size --json --quiet >"$scene.part"
                 mv "$scene.part" "$scene-$size.json"
             done

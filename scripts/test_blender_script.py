@@ -1,4 +1,4 @@
-"""What the script for Blender makes of its options, and what it does in the text editor, where there is no Blender."""
+"""Option handling of the script for Blender, and its behaviour in the text editor, without Blender."""
 import contextlib
 import io
 import json
@@ -15,7 +15,7 @@ PARTS = pathlib.Path(__file__).parent.parent / "src/format/blender"
 
 
 def assembled(names, **more):
-    """The script of a scene with cameras of these names, put together as `mod.rs` does it."""
+    """The script for a scene with cameras of these names, assembled as in `mod.rs`."""
     rule = {"colorSpace": "srgb", "background": [0, 0, 0], "near": 0.2, "lowPass": [0.3, 0]}
     scene = {"name": "s", "splats": None, "meshes": [], "motion": None, "cameras": [{"name": name} for name in names], "composition": rule}
     scene.update(more)
@@ -25,14 +25,14 @@ def assembled(names, **more):
 
 
 def script(names, **more):
-    """The script's names."""
+    """Names defined by the script."""
     module = {"__name__": "script"}
     exec(assembled(names, **more), module)
     return module
 
 
 class Text:
-    """A text of Blender's."""
+    """A text of Blender."""
 
     def __init__(self, content=""):
         self.content, self.filepath = content, ""
@@ -45,7 +45,7 @@ class Text:
 
 
 class Texts(dict):
-    """Texts by their names, which Blender sorts; to go through them is to see the texts."""
+    """Texts by name, sorted by Blender; iterating gives the texts."""
 
     def __iter__(self):
         return iter([self[name] for name in sorted(self.keys())])
@@ -55,13 +55,13 @@ class Texts(dict):
 
 
 class Empty(dict):
-    """The empty that scenes hang below, with its properties."""
+    """The empty that is the parent of scenes, with its properties."""
 
     type, data, children_recursive, users_collection = "EMPTY", None, (), ()
 
 
 class Blender:
-    """As much of Blender as runs a text in its editor, in a file that holds these texts and, if so, the scene."""
+    """The parts of Blender needed to run a text in its editor, in a file with these texts and optionally the scene."""
 
     def __init__(self, is_built, **texts):
         things = [Empty(centaur=json.dumps({"scene": "s"}))] if is_built else []
@@ -74,7 +74,7 @@ class Blender:
         self.bpy.data.batch_remove = lambda removed: [things.remove(thing) for thing in removed]
 
     def names(self, text, name="__main__"):
-        """The names that a text has after it was run."""
+        """Names defined by a text after it was run."""
         module = {"__name__": name, "__file__": f"/tmp/a.blend/{text}"}
         modules = {"bpy": self.bpy, "numpy": mock.MagicMock(), "mathutils": mock.MagicMock()}
         with mock.patch.dict(sys.modules, modules), mock.patch.object(sys, "argv", ["blender"]):
@@ -119,7 +119,7 @@ class TextEditor(unittest.TestCase):
         self.assertIn("neither a file nor a text", said.getvalue())
 
     def failed(self, is_built, build=None, **scene):
-        """What is said and which things are there after a run that fails."""
+        """Messages, and remaining objects, after a run that fails."""
         blender = Blender(is_built, garden=assembled([], **scene))
         module = blender.names("garden.py", "text")
         module["home"] = lambda: "/nowhere"

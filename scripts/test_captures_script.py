@@ -1,4 +1,4 @@
-"""captures.sh with a program in the place of centaur: python3 -m unittest discover -s scripts"""
+"""captures.sh with a stand-in for centaur: python3 -m unittest discover -s scripts"""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ import unittest
 from pathlib import Path
 
 SCRIPT = Path(__file__).parent / "captures.sh"
-# Stops in its first training and fails in its third, each once, after it has printed something.
+# Stops in its first training and fails in its third, once each, after printing something.
 CENTAUR = """#!/bin/sh
 echo "$*" >>log
 n=$(wc -l <log)

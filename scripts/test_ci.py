@@ -1,4 +1,5 @@
-"""What .ci/run says where something cannot be had, with programs that do nothing in place of all it runs: python3 -m unittest discover -s scripts"""
+"""Output of .ci/run if dependencies are not available, with stand-ins that do nothing for all programs it runs: python3
+-m unittest discover -s scripts"""
 
 import os
 import shutil
@@ -17,7 +18,7 @@ class Ci(unittest.TestCase):
         self.folder = Path(temporary.name)
         (self.folder / ".ci").mkdir()
         shutil.copy(ROOT / ".ci/run", self.folder / ".ci/run")
-        # Neither Python nor ffmpeg nor Slurm is to be had.
+        # Neither Python nor ffmpeg nor Slurm is available.
         for name in ("make", "cargo", "scripts/install.sh", "scripts/ensure-llvm.sh"):
             self.program(name, f"exit {int('install' in name)}")
 
@@ -28,7 +29,7 @@ class Ci(unittest.TestCase):
         path.chmod(0o755)
 
     def run_ci(self, **settings):
-        """Exit status and what is said."""
+        """Exit status and output."""
         env = {name: value for name, value in os.environ.items() if not name.startswith("CENTAUR_")}
         env |= {"PATH": f"{self.folder}:{env['PATH']}", "BLENDER_PYTHON": "/none/python", **settings}
         done = subprocess.run([self.folder / ".ci/run"], env=env, capture_output=True, text=True)

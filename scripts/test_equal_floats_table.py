@@ -54,7 +54,7 @@ class Table(unittest.TestCase):
             self.assertEqual(row[-2:], ["–", "0.500"])
 
     def said(self):
-        """Rows, and what is said of others."""
+        """Rows, and messages about other runs."""
         said = io.StringIO()
         with contextlib.redirect_stderr(said):
             rows = self.rows()
@@ -80,7 +80,7 @@ class Table(unittest.TestCase):
         self.assertEqual(said, "400000, demo: left out, hybrid alone has seed 1, 2\n")
         self.assertEqual(demo[2:6], ["1", "25.00", "25.00", "+0.00"])
         self.assertEqual(mean[3:], demo[3:])
-        # Neither of scores that only some seeds have.
+        # Nor a column of scores that only some seeds have.
         self.put("splats", "demo", 2, 28.0, 6000, 0.5)
         (_, _, demo, _), said = self.said()
         self.assertEqual(demo[2:6], ["2", "27.00", "26.50", "+0.50"])

@@ -1,4 +1,4 @@
-"""What make would run: python3 -m unittest discover -s scripts"""
+"""Commands that make would run: python3 -m unittest discover -s scripts"""
 
 import os
 import shlex
@@ -8,7 +8,7 @@ import unittest
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-# Those that name files by absolute paths.
+# Targets that use absolute paths of files.
 TARGETS = ["oracle-gsplat", "oracle-lpips", "oracle-splat-transform", "oracle-usd", "oracle-tint", "convert-times"]
 TARGETS += ["crosscheck", "oracle-composition"]
 

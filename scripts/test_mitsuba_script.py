@@ -1,4 +1,5 @@
-"""Which LLVM, variant and camera hybrid_rf.py takes, and when it traces rays again, where there is no Mitsuba: python3 -m unittest discover -s scripts"""
+"""LLVM, variant and camera chosen by hybrid_rf.py, and repeated tracing of rays, without Mitsuba: python3 -m unittest
+discover -s scripts"""
 
 import os
 import runpy
@@ -10,9 +11,9 @@ from types import SimpleNamespace
 from unittest import mock
 
 SCRIPT = Path(__file__).parent.parent / "src/format/mitsuba/hybrid_rf.py"
-# What it needs of these to be read.
+# Stand-ins with what is needed to import it.
 MITSUBA = SimpleNamespace(variant=lambda: "", **dict.fromkeys(["BSDF", "Sensor", "Sampler", "SamplingIntegrator"], object))
-# Of one ray, where Dr.Jit has arrays of them.
+# For a single ray, where Dr.Jit has arrays of rays.
 DRJIT = SimpleNamespace(
     syntax=lambda method: method, eval=lambda *_: None, any=bool, count=lambda ray: [int(ray)],
     select=lambda which, one, other: one if which else other,
@@ -21,14 +22,14 @@ MODULES = {"mitsuba": MITSUBA, "drjit": DRJIT, "numpy": SimpleNamespace()}
 
 
 def script():
-    # It sets a variable for Dr.Jit.
+    # The script sets a variable for Dr.Jit.
     with mock.patch.dict(sys.modules, MODULES), mock.patch.dict("os.environ"):
         return runpy.run_path(str(SCRIPT))
 
 
 class Variants(unittest.TestCase):
     def variant(self, backends, platform="linux", llvm=None):
-        """What is set where Dr.Jit has these backends, and `llvm` is what the user has chosen."""
+        """Variant chosen if Dr.Jit has these backends, where `llvm` is the user's choice of library."""
         chosen = []
         mitsuba = SimpleNamespace(**{**vars(MITSUBA), "variant": lambda: None, "set_variant": chosen.append})
         drjit = SimpleNamespace(
@@ -49,7 +50,7 @@ class Variants(unittest.TestCase):
         self.assertEqual(self.variant({"cuda", "llvm"}, llvm="/lib/libLLVM.so"), ["llvm_ad_rgb"])
         self.assertEqual(self.variant({"cuda"}), ["cuda_ad_rgb"])
         self.assertEqual(self.variant({"cuda", "llvm"}), ["cuda_ad_rgb"])
-        # Where nobody looks but Dr.Jit.
+        # In a folder that only Dr.Jit searches.
         self.assertEqual(self.variant({"llvm"}), ["llvm_ad_rgb"])
         for platform in ("win32", "darwin"):
             self.assertEqual(self.variant({"cuda", "llvm"}, platform), ["llvm_ad_rgb"])
@@ -112,7 +113,8 @@ class Cameras(unittest.TestCase):
 
 class Slots(unittest.TestCase):
     def traced(self, needed, slots=64):
-        """With how many slots a ray that needs so many is traced, and how many rays lack them in the end."""
+        """Numbers of slots with which a ray that needs `needed` slots is traced, and the number of rays that lack slots
+        in the end."""
         tried = []
 
         def trace(scene, ray, slots, active=True):

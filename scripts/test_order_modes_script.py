@@ -1,4 +1,4 @@
-"""order-modes.sh with programs in the places of centaur and of Python: python3 -m unittest discover -s scripts"""
+"""order-modes.sh with stand-ins for centaur and Python: python3 -m unittest discover -s scripts"""
 
 import os
 import subprocess
@@ -30,7 +30,7 @@ class OrderModes(unittest.TestCase):
             self.assertEqual((truth.read_text(), run()), ("one", (0, "", made)), "made once")
             os.utime(truth, (0, 0))
             self.assertEqual((run()[0], truth.stat().st_mtime > 0), (0, True), "the same surface")
-            # No results are of the other.
+            # The other scene has no results.
             surface.write_text("two")
             os.utime(truth, (0, 0))
             self.assertEqual((run()[0], truth.read_text()), (0, "two"))

@@ -40,7 +40,7 @@ class Table(unittest.TestCase):
         self.assertEqual(all_stable[1:], stable[1:])
 
     def test_what_is_not_done_is_left_out_and_said(self):
-        # As many runs of each, but of other seeds.
+        # The same number of runs of each variant, but with different seeds.
         for variant, seed in (("stable", 0), ("surface-consistent", 0), ("direct", 1)):
             self.put(variant, "demo", seed, 26.0)
         said = io.StringIO()

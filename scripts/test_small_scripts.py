@@ -1,4 +1,4 @@
-"""What small scripts make of programs that fail, or that are others than expected: python3 -m unittest discover -s scripts"""
+"""Small scripts with programs that fail or are not the expected ones: python3 -m unittest discover -s scripts"""
 
 import os
 import shutil
@@ -23,7 +23,7 @@ class Scripts(unittest.TestCase):
         path.chmod(0o755)
 
     def run_script(self, name, *arguments):
-        """Exit status, and what is said and printed, with the programs that there are before all others."""
+        """Exit status, messages and output of a script, with the stand-ins first in PATH."""
         env = {**os.environ, "PATH": f"{self.folder}:{os.environ['PATH']}"}
         done = subprocess.run([HERE / name, *arguments], env=env, capture_output=True, text=True)
         return done.returncode, done.stderr, done.stdout

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# with-lanes.sh LANES COMMAND…: runs a command where Mesa's software adapter has subgroups of so many lanes. Where tests run on another
-# adapter, whose lanes are its own, says so instead.
+# with-lanes.sh LANES COMMAND…: runs a command with Mesa's software adapter using subgroups of LANES lanes. If tests run
+# on another adapter, which has its own number of lanes, prints that instead.
 set -euo pipefail
 
 lanes=$1

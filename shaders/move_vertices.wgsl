@@ -1,8 +1,8 @@
 // One thread per vertex: Adam on its displacement along its normal, with steps that are smooth over the surface.
 //
-// `start` turns the gradient into Adam's step; `diffuse`, run in turn with ODD = 0 and 1, is a
-// Jacobi iteration for (1 + SMOOTHNESS·Laplacian)·x = step, which keeps noise of single vertices out of the surface; `displace`
-// takes the step.
+// `start` computes Adam's step from the gradient; `diffuse`, run alternately with ODD = 0 and 1, is a Jacobi iteration
+// for (1 + SMOOTHNESS·Laplacian)·x = step, which keeps noise of single vertices out of the surface; `displace` takes
+// the step.
 
 //#import shared/view.wgsl
 //#import shared/adam.wgsl with FLOATS=f32
@@ -21,9 +21,9 @@ struct Step {
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> gradient: array<u32>;          // [V, 2], along the normal, in fixed point
 @group(0) @binding(2) var<storage, read_write> moments: array<vec2f>;   // [V]
-@group(0) @binding(3) var<storage, read_write> steps: array<vec4f>;     // [V]: Adam's; two iterates; unused
+@group(0) @binding(3) var<storage, read_write> steps: array<vec4f>;     // [V]: Adam's step; two iterates; unused
 @group(0) @binding(4) var<storage, read> first: array<u32>;             // [V + 1]
-@group(0) @binding(5) var<storage, read> neighbors: array<u32>;         // of vertex v from first[v] on
+@group(0) @binding(5) var<storage, read> neighbors: array<u32>;         // those of vertex v start at first[v]
 @group(0) @binding(6) var<storage, read> normals: array<vec4f>;         // [V]
 @group(0) @binding(7) var<storage, read_write> positions: array<f32>;   // [V, 3], world
 @group(0) @binding(8) var<storage, read_write> status: Status;

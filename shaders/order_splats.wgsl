@@ -1,5 +1,5 @@
-// Decides, once per visible splat and mesh layer, how they are ordered. Every mode comes down to one
-// threshold t: at a pixel whose layer depth is d, the splat lies behind that layer iff d < t. See render/contract.rs.
+// Decides, once per visible splat and mesh layer, how they are ordered. Every mode is expressed by one threshold t: at
+// a pixel whose layer depth is d, the splat lies behind that layer iff d < t. See render/contract.rs.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -20,7 +20,7 @@ struct Pass {
 //#import shared/workgroup_scan.wgsl
 
 const LANES: u32 = 8u;
-const SHORTEST_CHUNK: u32 = 1024u;      // shorter ones cost more in counters than in pairs
+const SHORTEST_CHUNK: u32 = 1024u;      // shorter chunks cost more for counters than for pairs
 
 var<workgroup> counters: array<u32, LANES * DIGITS>;    // [lane][digit]
 

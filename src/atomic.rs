@@ -263,7 +263,7 @@ mod tests {
         let [folder, other] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         let [link, file] = [folder.path().join("a.bin"), other.path().join("b.bin")];
         std::os::unix::fs::symlink(&file, &link).unwrap();
-        // Also by way of another, and where nothing is yet.
+        // Also through a chain of two links, to a file that does not exist yet.
         let between = other.path().join("c.bin");
         std::os::unix::fs::symlink("b.bin", &between).unwrap();
         fs::remove_file(&link).unwrap();
@@ -329,7 +329,7 @@ mod tests {
         io::Read::read_to_end(&mut reader, &mut held).unwrap();
         assert_eq!((&held[..], &fs::read(&path).unwrap()[..]), (&b"old"[..], &b"newer"[..]));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-        // A rename that fails leaves nothing.
+        // A failed rename leaves no files behind.
         assert!(write(&folder.path().join("a".repeat(300)), b"").is_err());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
@@ -357,7 +357,7 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3, "nothing is left of it");
     }
 
-    /// Of what is listed by this test alone: others write meanwhile.
+    /// Looks only at the entries of this test in the list, since other tests write at the same time.
     #[test]
     fn what_is_abandoned_is_removed_or_back() {
         let folder = tempfile::tempdir().unwrap();

@@ -249,16 +249,16 @@ mod tests {
         assert_eq!(plain.truth.as_raw(), &[1.0, 1.0, 1.0, 0.0, 1.0, 0.0]);
         assert_eq!(plain.render.as_raw(), &[0.5; 6]);
         assert!(masked.masked && !plain.masked && !masked.is_empty && !plain.is_empty);
-        // Of a mask that leaves nothing there is no score, which would be perfect; what is transparent shows the background.
+        // A fully masked view has no score (it would be perfect); transparent pixels show the background.
         let nothing = |masked| Photo { rgba: vec![9, 9, 9, 0, 9, 9, 9, 0], ..photo(masked) };
         assert!(Comparison::new(&nothing(true), &grey(0.5, 2), &white).is_empty);
         assert!(!Comparison::new(&nothing(false), &grey(0.5, 2), &white).is_empty);
-        // Half is level 128: 127 from white in four channels, 128 from black in two.
+        // A half is level 128: 127 from white in four channels, 128 from black in two.
         let squares = (4.0 * 127.0_f64.powi(2) + 2.0 * 128.0_f64.powi(2)) / 255.0_f64.powi(2);
         assert!((plain.psnr().unwrap() - -10.0 * (squares / 6.0).log10()).abs() < 1e-5, "{}", plain.psnr().unwrap());
     }
 
-    /// Half of a mask on what is brighter than white is half of white.
+    /// Half a mask on a value brighter than white gives half of white.
     #[test]
     fn renders_are_clamped_before_masks_multiply_them() {
         let white = Photo { rgba: vec![255, 255, 255, 255, 255, 255, 255, 128], ..photo(true) };

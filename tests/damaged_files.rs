@@ -1,5 +1,5 @@
-//! Every reader on random bytes and on valid files that were damaged: no panic, and no more memory than the file
-//! justifies, and a message that says which file, where, what was expected and what was found. `make fuzz` searches further.
+//! Every reader on random bytes and on valid files that were damaged: no panic, no more memory than the file justifies,
+//! and a message that names the file, the place, what was expected and what was found. `make fuzz` searches further.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -22,16 +22,16 @@ use samples::{PHOTOGRAPH, Sample, samples};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Memory is counted for the whole process, so that one test runs at a time.
+/// Memory is counted for the whole process, so one test runs at a time.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// Bytes of memory per byte of a file at most. 5 kB of SOG hold 40 splats of 140 bytes in images of 100 kB, 30 bytes of a
-/// PLY's header name a property in 100 bytes of memory.
+/// Largest memory per byte of a file. 5 kB of SOG hold 40 splats of 140 bytes in images of 100 kB, and 30 bytes of a
+/// PLY header name a property that takes 100 bytes of memory.
 const MOST_PER_BYTE: usize = 40;
-/// Of photographs, which may be grey and of one colour: 32,768 bytes for a stored one, four times that as RGBA, as much again through a lens,
-/// and what a mask and a smaller picture take.
+/// Largest memory per byte of a photograph, which can be grey and of a single colour: 32,768 bytes per stored byte,
+/// four times that as RGBA, as much again for undistortion, and the memory of a mask and a downscaled picture.
 const MOST_PER_BYTE_OF_PICTURES: usize = 12 << 15;
-/// Besides, for buffers, and for images of a size that small files may claim.
+/// Additional memory for buffers, and for images of a size that small files may declare.
 const MOST_BESIDES: usize = 16 << 20;
 
 fn folder() -> tempfile::TempDir {
@@ -43,7 +43,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// Reads the files in every way in which the program would; whether any was taken.
+/// Reads the files in every way in which the program would; returns whether any was accepted.
 fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
     if reader == "photograph" {
         fuzz::prepare_for_photograph(folder);
@@ -60,7 +60,7 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
             let options = LoadOptions::default();
             let opened = capture::open(folder, &options).map(drop).map_err(of_capture);
             let cameras = capture::cameras(folder, &options).map(drop).map_err(of_capture);
-            // A path is no capture.
+            // The capture is also read for its cameras alone.
             (opened.is_ok() || cameras.is_ok(), vec![opened, cameras])
         }
         "photograph" => {
@@ -90,7 +90,7 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
                 format::mesh_import::read(&path).map(drop),
                 format::read_cameras(&path, &Sampling::default()).map(drop),
             ];
-            // Only these are posed.
+            // Only these formats can be posed.
             let options = ReadOptions { time: Some(0.3), ..ReadOptions::default() };
             let posed =
                 ["glb", "gltf", "gltf_and_bin"].contains(&reader).then(|| format::read_file(&path, &options).map(drop));
@@ -104,21 +104,22 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
     let size: usize = files.iter().map(|(_, content)| content.len()).sum();
     assert!(peak <= most_per_byte * size + MOST_BESIDES, "{reader}: {peak} bytes of memory for a file of {size}");
     for message in said.iter().filter_map(|read| read.as_ref().err()) {
-        // Whatever stands in the file, the message is one line that names it.
+        // Whatever the file contains, the message is one line that names it.
         assert!(!message.contains(['\n', '\r']) && message.len() < 600, "{message:?}");
         assert!(message.contains(&*folder.to_string_lossy()), "{message:?}");
     }
     taken
 }
 
-/// The message of an error that says where, what was expected and what was found.
+/// Message of an error, after checking that it states the place, what was expected and what was found.
 #[expect(clippy::needless_pass_by_value, reason = "what `map_err` takes")]
 fn of_format(e: FormatError) -> String {
     match &e {
         FormatError::Read { .. } => {}
         FormatError::Content { location, expected, found, .. } => {
             let is_member_alone = matches!(location, Location::Member { at, .. } if **at == Location::File);
-            // Many formats have no cameras and no meshes: nothing is malformed, and the whole file is of another kind.
+            // Many formats have no cameras and no meshes: nothing is malformed then, but the whole file is of another
+            // kind.
             let is_of_other_kind = expected.starts_with("a file that can hold cameras");
             assert!((*location != Location::File && !is_member_alone) || is_of_other_kind, "nowhere: {e}");
             assert!(!expected.is_empty() && !found.is_empty(), "{e}");
@@ -140,7 +141,7 @@ fn of_capture(e: CaptureError) -> String {
             place
         }
         CaptureError::UnsupportedModel { place, .. } => place,
-        // The offset is a part of the second; the others are about files, not about what is in them.
+        // Of these, only the second has an offset; the others concern files, not their content.
         CaptureError::Io { .. }
         | CaptureError::Truncated { .. }
         | CaptureError::Image { .. }
@@ -149,7 +150,7 @@ fn of_capture(e: CaptureError) -> String {
         other => panic!("of an unknown kind: {other}"),
     };
     let is_place = place.starts_with('/') || ["line ", "byte "].iter().any(|word| place.contains(word));
-    // These are missing altogether.
+    // Items that are missing altogether.
     assert!(
         is_place
             || ["capture", "cameras", "views", "COLMAP model", "image size", "mask size", "mask"].contains(&&**place),
@@ -166,21 +167,21 @@ fn the_samples_are_valid() {
     }
 }
 
-/// One way to damage a file.
+/// A way to damage a file.
 #[derive(Clone, Debug)]
 enum Damage {
     Set(f64, u8),
-    /// Four bytes at once: counts blown up.
+    /// Sets four bytes: inflated counts.
     Word(f64, u32),
     Cut(f64),
-    /// Some bytes are there twice.
+    /// Repeats some bytes.
     Repeat(f64, usize),
-    /// A number in text made long.
+    /// Lengthens a number in text.
     Digits(f64),
 }
 
 fn damage() -> impl Strategy<Value = Damage> {
-    // Headers, where most of the damage is done, are at the beginning.
+    // Headers, which cause most errors, are at the beginning.
     let place = || prop_oneof![0.0..1.0, (0.0..1.0f64).prop_map(|x| x * x * x * x)];
     prop_oneof![
         4 => (place(), any::<u8>()).prop_map(|(at, byte)| Damage::Set(at, byte)),
@@ -221,7 +222,7 @@ fn apply(bytes: &mut Vec<u8>, damage: &Damage) {
     }
 }
 
-/// The same cases on every run, so that a failure is one of the change at hand; `PROPTEST_RNG_SEED` makes others.
+/// The same cases in every run, so that a failure is caused by the current change; `PROPTEST_RNG_SEED` gives others.
 fn runner(cases: u32) -> TestRunner {
     let mut config = ProptestConfig::with_cases(cases);
     if config.rng_seed == RngSeed::Random {
@@ -250,7 +251,7 @@ fn damaged_files() {
     }
 }
 
-/// What a file says where `from` was replaced by `to`, once, in all of its text or its bytes.
+/// Error message for a file in which `from` is replaced by `to`, once, in its whole text or bytes.
 fn said_of(reader: &str, name: &str, from: &[u8], to: &[u8]) -> String {
     let folder = folder();
     let all = samples();
@@ -262,7 +263,7 @@ fn said_of(reader: &str, name: &str, from: &[u8], to: &[u8]) -> String {
     let at = has(content).unwrap();
     content.splice(at..at + from.len(), to.iter().copied());
     if content.starts_with(b"PK") {
-        // Of what was in the zip; else its checksums are all that is said.
+        // Otherwise only the zip's checksums would be reported, not the content.
         mend_checksums(content);
     }
     let error = match reader {
@@ -279,7 +280,7 @@ fn said_of(reader: &str, name: &str, from: &[u8], to: &[u8]) -> String {
     error.replace(&format!("{}/", folder.path().display()), "")
 }
 
-/// Sets the checksums of a zip whose members are stored, one after the other, and have the lengths that are stated.
+/// Corrects the checksums of a zip whose members are stored consecutively with their declared lengths.
 fn mend_checksums(zip: &mut [u8]) {
     let word = |zip: &[u8], at: usize| u32::from_le_bytes(*zip[at..].first_chunk().unwrap()) as usize;
     let half = |zip: &[u8], at: usize| usize::from(u16::from_le_bytes(*zip[at..].first_chunk().unwrap()));
@@ -371,7 +372,7 @@ fn messages_name_the_place() {
     assert!(broken.starts_with("scene.splat: byte 0: expected finite numbers, found NaN as "), "{broken}");
 }
 
-/// What `make fuzz` runs does not fall behind what it reads with.
+/// The fuzz targets must be able to read all samples.
 #[test]
 fn fuzz_targets_take_the_samples() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
@@ -399,12 +400,12 @@ fn fuzz_targets_take_the_samples() {
     }
 }
 
-/// Documents in which a few bytes are named again and again: what is named is held once, or not at all.
+/// Documents in which a few bytes are referenced many times: their content is held in memory once, or not at all.
 #[test]
 fn what_is_named_often_is_held_once() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = folder();
-    // One triangle; then 10,000 numbers that grow, and 10,000 times the translations of three vertices.
+    // One triangle; then 10,000 increasing numbers, and 10,000 times the translations of three vertices.
     let keys = 10_000;
     let mut bin: Vec<u8> =
         [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -474,7 +475,7 @@ fn random_bytes() {
     let folder = folder();
     for Sample { reader, files } in samples() {
         let mut runner = runner(60);
-        // With and without the first bytes of the format, by which it is told.
+        // With and without the format's magic bytes.
         let strategy = (0..64usize, proptest::collection::vec(any::<u8>(), 0..300));
         let outcome = runner.run(&strategy, |(start, random)| {
             let begun = |content: &[u8]| [&content[..start.min(content.len())], &random].concat();

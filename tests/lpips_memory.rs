@@ -1,4 +1,4 @@
-//! What LPIPS of VGG takes while it compares two pictures, as its documentation has it.
+//! Memory of LPIPS with VGG while it compares two pictures, as documented.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -10,7 +10,7 @@ use safetensors::{Dtype, tensor::TensorView};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Weights of zero, which take as long as any.
+/// Zero weights, which take as long as any.
 fn weights() -> Vec<u8> {
     let zeros = vec![0; 4 * 512 * 512 * 9];
     let mut views = vec![];
@@ -34,18 +34,18 @@ fn weights() -> Vec<u8> {
 fn a_pixel_takes_768_bytes_and_the_file_only_its_weights() {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), weights()).unwrap();
-    // A file may be longer than what is needed of it.
+    // A file may be longer than the part that is needed.
     file.as_file().set_len(4 << 30).unwrap();
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
     let lpips = Lpips::open(file.path()).unwrap();
     let held = MEMORY.current_usage() - before;
-    // Weights, and once more those of a layer, whose order is changed.
+    // The weights, plus those of one layer while they are reordered.
     let most = MEMORY.peak_usage() - before;
     assert!(held < 60_000_000 && most < 70_000_000, "{held} bytes, {most} at most");
 
     let picture = Rgb32FImage::from_pixel(256, 192, image::Rgb([0.5; 3]));
-    // Patches of 4 MB a thread, packed for the product: of many threads they would be more than the maps.
+    // Patches of 4 MB per thread, packed for the matrix product: with many threads they would exceed the maps.
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();

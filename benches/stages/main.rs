@@ -1,4 +1,4 @@
-//! What the adapter can do at best, and what a training step takes, stage by stage: `make bench`.
+//! Measures the peak rates of the adapter and the time of a training step, stage by stage: `make bench`.
 //!
 //! `cargo bench -- --quick` takes a minute, `--yardstick` runs one small scene only.
 
@@ -22,38 +22,38 @@ use centaur::{
 use clap::Parser as _;
 use scene::Sheet;
 
-/// Of the scenes with a mesh: 20,000 triangles, 1024² base texels, 256² texels of bands of degree 2.
+/// Mesh of the hybrid scenes: 20,000 triangles, 1024² base texels, 256² texels of SH bands of degree 2.
 const SHEET: Sheet = Sheet { cells: 100, side: 1024 };
-/// Pixels and splats of the yardstick: a capture of 43 views that other trainers were timed on.
+/// Splats, width and height of the yardstick: a capture of 43 views that other trainers were timed on.
 const YARDSTICK: (usize, u32, u32) = (12_000, 265, 473);
 
-/// Ceilings of the adapter, and every stage of a training step as a part of them.
+/// Ceilings of the adapter, and every stage of a training step as a fraction of them.
 #[derive(clap::Parser)]
 struct Options {
-    /// Small scenes: finds mistakes, not speed.
+    /// Small scenes only: finds mistakes, does not measure speed.
     #[arg(long)]
     quick: bool,
-    /// Nothing but the yardstick: 12,000 splats at 265×473.
+    /// Only the yardstick: 12,000 splats at 265×473.
     #[arg(long)]
     yardstick: bool,
-    /// Nothing but bytes of GPU memory, up to those of 1 M splats at 1920×1080.
+    /// Only GPU memory in bytes, up to a scene of 1 M splats at 1920×1080.
     #[arg(long, conflicts_with = "yardstick")]
     memory: bool,
-    /// Nothing but a step of this scene, as `centaur train` writes it, by the camera in the middle of its list.
+    /// Only a training step of this scene, as written by `centaur train`, with the camera in the middle of its list.
     #[arg(long, value_name = "SCENE.glb", conflicts_with_all = ["yardstick", "memory", "json"])]
     scene: Option<PathBuf>,
     /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// The adapter, as `centaur train --adapter` takes it, instead of the best one.
+    /// Name of the adapter, as for `centaur train --adapter`, instead of the best one.
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
-    /// What cargo calls benchmarks with.
+    /// Flag that cargo passes to benchmarks.
     #[arg(long, hide = true)]
     bench: bool,
 }
 
-/// A scene and what a step of it took.
+/// A scene and the measured times of one of its training steps.
 #[derive(serde::Serialize)]
 struct Run {
     splats: usize,
@@ -64,46 +64,46 @@ struct Run {
     times: StepTimes,
 }
 
-/// Step times over one quantity.
+/// Step times as a function of one quantity.
 #[derive(serde::Serialize)]
 struct Curve {
     over: &'static str,
     /// (quantity, seconds per step).
     points: Vec<(f64, f64)>,
-    /// Of the power law that fits best.
+    /// Exponent of the power law that fits best.
     exponent: f64,
-    /// Seconds at zero and seconds per unit of the straight line that fits best.
+    /// Intercept in seconds, and seconds per unit, of the straight line that fits best.
     line: (f64, f64),
-    /// Largest distance from that line, as a part of the time.
+    /// Largest deviation from that line, as a fraction of the time.
     off_line: f64,
 }
 
-/// Bytes of training by difference between two sizes, and by the library's account.
+/// Bytes used by training: measured as the difference between two sizes, and as computed by the library.
 #[derive(serde::Serialize)]
 struct Memory {
     per_splat: f64,
     per_map_float: f64,
     per_pixel: f64,
-    /// Measured over accounted.
+    /// Measured bytes divided by computed bytes.
     agreement: f64,
     large: Large,
 }
 
-/// Bytes for many splats, a 2048² atlas with 512² bands of degree 2, 200,000 triangles, one layer, 1920×1080.
+/// Bytes for many splats, a 2048² atlas with 512² SH bands of degree 2, 200,000 triangles, one layer, 1920×1080.
 #[derive(serde::Serialize)]
 struct Large {
-    /// By the library's account, of 1 M splats.
+    /// As computed by the library for 1 M splats.
     accounted: u64,
-    /// The largest such scene that was trained; quick runs train none.
+    /// Largest such scene that could be trained; quick runs train none.
     trained: Option<Trained>,
-    /// Why that is not of 1 M splats.
+    /// Why that scene has fewer than 1 M splats.
     refused: Option<String>,
 }
 
 #[derive(serde::Serialize)]
 struct Trained {
     splats: usize,
-    /// Peak of some steps.
+    /// Peak over some steps.
     bytes: u64,
     accounted: u64,
 }
@@ -165,7 +165,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Times a step of `n` splats. A software adapter is slow enough for few repetitions to do.
+/// Times a step with `n` splats. A software adapter is so slow that few repetitions suffice.
 fn run(gpu: &Gpu, n: usize, (width, height): (u32, u32), sheet: Option<Sheet>) -> anyhow::Result<Run> {
     let camera = scene::camera(width, height);
     timed(gpu, &scene::scene(n, &camera, sheet), &camera)
@@ -179,7 +179,7 @@ fn timed(gpu: &Gpu, scene: &centaur::scene::HybridScene, camera: &centaur::scene
     Ok(Run { splats, width: k.width, height: k.height, mesh, times })
 }
 
-/// Every number of splats at every size, with and without mesh.
+/// Times every splat count at every image size, with and without mesh.
 fn stages(gpu: &Gpu, quick: bool, ceilings: Option<&Ceilings>) -> anyhow::Result<Vec<Run>> {
     let (counts, sizes): (&[usize], &[(u32, u32)]) =
         if quick { (&[20_000], &[(480, 270)]) } else { (&[100_000, 500_000], &[(960, 540), (1920, 1080)]) };
@@ -197,13 +197,13 @@ fn stages(gpu: &Gpu, quick: bool, ceilings: Option<&Ceilings>) -> anyhow::Result
     Ok(runs)
 }
 
-/// Step time over splats of one size in pixels, and over the pixels of one scene.
+/// Step time by the number of splats of constant size in pixels, and by the number of pixels for one scene.
 fn curves(gpu: &Gpu, quick: bool) -> anyhow::Result<Vec<Curve>> {
     let (unit, fixed) = if quick { (2_500, (480, 270)) } else { (25_000, (960, 540)) };
     let over_splats = (0..4).map(|i| unit << i).map(|n| Ok((n as f64, run(gpu, n, fixed, None)?.times.step_seconds)));
     let over_splats = over_splats.collect::<anyhow::Result<_>>()?;
 
-    // The same splats in space, seen at other resolutions: they grow with the image.
+    // The same splats in world space, rendered at other resolutions: their size in pixels grows with the image.
     let full = scene::camera(2 * fixed.0, 2 * fixed.1);
     let scene = scene::scene(4 * unit, &full, None);
     let over_pixels = [0.5, 1.0, 1.5, 2.0].map(|s| {
@@ -237,7 +237,7 @@ impl Curve {
     }
 }
 
-/// Value at zero and slope of the least-squares line.
+/// Intercept and slope of the least-squares line.
 fn fit(points: &[(f64, f64)]) -> (f64, f64) {
     let mean = |f: fn(&(f64, f64)) -> f64| points.iter().map(f).sum::<f64>() / points.len() as f64;
     let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
@@ -278,7 +278,7 @@ fn memory(adapter: Option<&str>, quick: bool) -> anyhow::Result<Memory> {
     };
     let mut large = Large { accounted: accounted(1_000_000), trained: None, refused: None };
     if !quick {
-        // Adapters that bind no more than 128 MiB at a time cannot hold the SH of a million.
+        // Adapters that bind at most 128 MiB at a time cannot hold the SH coefficients of a million splats.
         large.trained = Some(train(1_000_000).or_else(|error| {
             large.refused = Some(error.to_string());
             train(400_000)

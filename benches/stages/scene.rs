@@ -13,25 +13,25 @@ const SH_TERMS: usize = 16;
 /// Image width over focal length.
 const FIELD: f64 = 1.2;
 
-/// A mesh of 2·`cells`² triangles, a base map of `side`² texels and bands of degree 2 at a quarter of its side.
+/// A mesh of 2·`cells`² triangles, with a base map of `side`² texels and SH bands of degree 2 at a quarter of its side.
 #[derive(Clone, Copy)]
 pub(crate) struct Sheet {
     pub(crate) cells: usize,
     pub(crate) side: u32,
 }
 
-/// SH degree of the bands.
+/// SH degree of the band maps.
 const BAND_DEGREE: u32 = 2;
 
 impl Sheet {
-    /// Floats of both maps.
+    /// Number of floats in both maps.
     pub(crate) fn map_floats(self) -> usize {
         let texels = |side: u32| side as usize * side as usize;
         4 * texels(self.side) + sh::band_floats(BAND_DEGREE) * texels(self.side / 4)
     }
 }
 
-/// The camera of every scene: at the origin, along z.
+/// Camera of every scene: at the origin, looking along z.
 pub(crate) fn camera(width: u32, height: u32) -> Camera {
     let (w, h) = (f64::from(width), f64::from(height));
     let focal = w / FIELD;
@@ -39,16 +39,16 @@ pub(crate) fn camera(width: u32, height: u32) -> Camera {
     Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).expect("finite, a rotation")
 }
 
-/// `n` splats of degree 3 that fill the view of `camera`, and a little more, between depths 2 and 10. They are
-/// ellipsoids of a log-normal size of a few *pixels* of that camera at any depth, so that a splat has the same number
-/// of tiles in every scene, on average about five. Opacities are log-uniform in 0.01 to 0.3: with hundreds of thousands
-/// of splats, pixels become opaque before the end of their lists, as they do in captures.
+/// `n` splats of degree 3 that fill slightly more than the view of `camera`, between depths 2 and 10. They are
+/// ellipsoids whose size in *pixels* of that camera is log-normal and does not depend on depth, so that a splat covers
+/// the same number of tiles in every scene, about five on average. Opacities are log-uniform in 0.01 to 0.3: with
+/// hundreds of thousands of splats, pixels become opaque before the end of their lists, as they do in captures.
 pub(crate) fn scene(n: usize, camera: &Camera, sheet: Option<Sheet>) -> HybridScene {
     let mut rng = Pcg32::seed_from_u64(20);
     let k = camera.intrinsics();
     let (fx, fy) = (k.fx as f32, k.fy as f32);
     let half = Vec2::new(k.width as f32 / fx, k.height as f32 / fy) * 0.53;
-    // The sum of four has variance 4/3: close enough to a normal distribution.
+    // The sum of four uniform values has variance 4/3: close enough to a normal distribution.
     let mut normal = |deviation: f32| -> f32 {
         (0..4).map(|_| rng.random_range(-1.0..1.0f32)).sum::<f32>() * (0.75f32).sqrt() * deviation
     };
@@ -78,7 +78,7 @@ fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
-/// A wavy sheet amid the splats that covers about four fifths of the view, of opacity one half.
+/// A wavy sheet among the splats that covers about four fifths of the view, with opacity one half.
 fn mesh(Sheet { cells, side }: Sheet, half: Vec2) -> Mesh {
     let along = |i: usize| i as f32 / cells as f32;
     let vertices = cells + 1;

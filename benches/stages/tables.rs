@@ -1,10 +1,10 @@
-//! What `stages` prints.
+//! Printing of the results of `stages`.
 
 use centaur::render::gpu::{Gpu, measure::Ceilings};
 
 use super::{Curve, Memory, Run};
 
-/// Stages and the shader files that belong to them. Kernels of no stage are shown under their own heading.
+/// Stages and the shader files that belong to them. Kernels outside all stages are shown under their own heading.
 const GROUPS: [(&str, &[&str]); 10] = [
     ("project", &["project_splats"]),
     (
@@ -34,7 +34,7 @@ const FORWARD: &str = "blend forward";
 const BACKWARD: &str = "blend backward";
 
 impl Run {
-    /// Seconds of the kernels that `wanted` picks by their shader file.
+    /// Seconds spent in the kernels whose shader file `wanted` accepts.
     fn seconds(&self, wanted: impl Fn(&str) -> bool) -> f64 {
         let file = |kernel: &str| kernel.split(':').next().is_some_and(&wanted);
         self.times.stages.iter().filter(|s| file(&s.kernel)).map(|s| s.seconds).fold(0.0, |sum, s| sum + s)
@@ -46,7 +46,7 @@ impl Run {
     }
 }
 
-/// The adapter and its ceilings.
+/// Prints the adapter and its ceilings.
 pub(crate) fn print_adapter(gpu: &Gpu, ceilings: Option<&Ceilings>) {
     println!("{} (subgroups: {})", gpu.adapter(), gpu.profile().subgroups);
     let Some(c) = ceilings else {
@@ -59,7 +59,7 @@ pub(crate) fn print_adapter(gpu: &Gpu, ceilings: Option<&Ceilings>) {
     println!("  dispatch of one thread   {:9.1} µs", c.dispatch_seconds * 1e6);
 }
 
-/// One column a run.
+/// Prints a table with one column per run.
 pub(crate) fn print_stages(runs: &[Run], ceilings: Option<&Ceilings>) {
     let row = |label: &str, cell: &dyn Fn(usize, &Run) -> String| {
         let cells: String = runs.iter().enumerate().map(|(i, r)| format!("{:>16}", cell(i, r))).collect();
@@ -90,7 +90,8 @@ pub(crate) fn print_stages(runs: &[Run], ceilings: Option<&Ceilings>) {
         let of_ceiling = |r: &Run, evaluations: usize, name: &str| {
             percent(evaluations as f64 / r.group(name).max(1e-9) / c.evaluations)
         };
-        // The forward pass does more than are used and less than all pairs have: the part it is held to is the lower.
+        // The forward pass evaluates more fragments than it uses and fewer than all pairs have; the requirement applies
+        // to the lower of the two fractions.
         row("blend forward, of the ceiling (≥ 50 %)", &|_, r| of_ceiling(r, r.times.evaluations, FORWARD));
         row("  if it skipped nothing", &|_, r| of_ceiling(r, 256 * r.times.pairs, FORWARD));
         row("blend backward × 3, of the ceiling (≥ 35 %)", &|_, r| of_ceiling(r, 3 * r.times.evaluations, BACKWARD));
@@ -106,7 +107,7 @@ pub(crate) fn print_stages(runs: &[Run], ceilings: Option<&Ceilings>) {
     }
 }
 
-/// Step times over one quantity.
+/// Prints step times as a function of one quantity.
 pub(crate) fn print_curve(curve: &Curve) {
     let (over, (fixed, slope)) = (curve.over, curve.line);
     println!("\nstep time ∝ {over}^{:.2}", curve.exponent);
@@ -121,7 +122,7 @@ pub(crate) fn print_curve(curve: &Curve) {
     }
 }
 
-/// What training takes.
+/// Prints the GPU memory that training takes.
 pub(crate) fn print_memory(memory: &Memory) {
     println!("\nGPU memory while training, by difference");
     println!("  per splat of degree 3  {:7.0} bytes, room for half as many again included", memory.per_splat);

@@ -1,4 +1,4 @@
-//! What the programs that look at held-out views begin with: the arguments `SCENE CAPTURE MAX_SIDE`.
+//! Shared start of the programs that look at held-out views: reads the arguments `SCENE CAPTURE MAX_SIDE`.
 
 use std::error::Error;
 use std::path::Path;
@@ -11,13 +11,13 @@ use glam::DVec3;
 pub(crate) struct HeldOut {
     pub(crate) scene: HybridScene,
     pub(crate) views: Vec<View>,
-    /// Of structure from motion.
+    /// Points of structure from motion.
     #[allow(dead_code, reason = "of one program alone")]
     pub(crate) points: Vec<DVec3>,
 }
 
 /// # Errors
-/// If there are other arguments, or one cannot be read.
+/// If the arguments are others, or one of them cannot be read.
 pub(crate) fn open(program: &str) -> Result<HeldOut, Box<dyn Error>> {
     let [scene, folder, side] = std::env::args()
         .skip(1)

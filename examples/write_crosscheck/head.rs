@@ -1,4 +1,4 @@
-//! A head that moves: an ellipsoid with bones and morph targets, and hair bound to its triangles.
+//! An animated head: an ellipsoid with bones and morph targets, and hair bound to its triangles.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -18,14 +18,14 @@ const ACROSS: u32 = 24;
 const DOWN: u32 = 16;
 const HAIRS: usize = 150;
 
-/// Names of joints, the one above each, and where they are. The world is y down.
+/// Name, parent and position of each joint. The world is y down.
 const JOINTS: [(&str, Option<usize>, Vec3); 3] = [
     ("neck", None, Vec3::new(0.0, 0.9, 0.0)),
     ("skull", Some(0), Vec3::new(0.0, 0.3, 0.1)),
     ("jaw", Some(1), Vec3::new(0.0, 0.25, -0.1)),
 ];
 
-/// Writes `head.glb`. At rest it is as it was bound, with all weights 0.
+/// Writes `head.glb`. Its rest pose is the bind pose, with all morph weights 0.
 pub(super) fn write(folder: &Path) -> Result<()> {
     let path = folder.join("head.glb");
     let mesh = surface()?;
@@ -74,7 +74,7 @@ fn surface() -> Result<Mesh> {
     Ok(Mesh::new(positions, triangles, uvs, Atlas::new(base, None)?)?)
 }
 
-/// What splats are bound by: triangles, and means, orientations and scales in their frames.
+/// Binding of the splats: their triangles, and their means, orientations and scales in the frames of these.
 #[derive(Default)]
 struct Hair {
     triangles: Vec<u32>,
@@ -113,7 +113,7 @@ fn hair(mesh: &Mesh) -> Result<(Splats, Hair)> {
     Ok((Splats::new(means, rotations, log_scales, logits, 3, harmonics.collect())?, hair))
 }
 
-/// A binary glTF taken apart.
+/// Document and binary chunk of a binary glTF.
 struct File {
     document: Value,
     bytes: Vec<u8>,
@@ -173,7 +173,7 @@ impl File {
         index
     }
 
-    /// Elements of a VEC3 accessor of floats that lie one after the other.
+    /// Elements of a tightly packed VEC3 accessor of floats.
     fn positions(&self, accessor: usize) -> Vec<Vec3> {
         let accessor = &self.document["accessors"][accessor];
         let view = &self.document["bufferViews"][accessor["bufferView"].as_u64().unwrap_or(0) as usize];
@@ -254,7 +254,7 @@ impl File {
         Ok(())
     }
 
-    /// Nods, turns, speaks and stares, in all interpolations.
+    /// Adds an animation in which the head nods, turns, speaks and stares, with all interpolations.
     fn animate(&mut self, joints: &[usize], head: usize) {
         let turns = |axis: Vec3, degrees: &[f32]| -> Vec<[f32; 4]> {
             degrees.iter().map(|d| Quat::from_axis_angle(axis, d.to_radians()).to_array()).collect()

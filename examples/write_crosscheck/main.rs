@@ -1,7 +1,7 @@
 //! Writes the scenes of `make crosscheck`: `cargo run --release --example write_crosscheck -- FOLDER`
 //!
-//! Each puts one thing in front of a renderer that renderers differ in. Cameras are chosen so that no edge of a surface passes
-//! through the centre of a pixel, and that no texel is smaller than a pixel, where filters differ.
+//! Each scene tests one feature that renderers treat differently. Cameras are chosen so that no edge of a surface
+//! passes through the centre of a pixel, and that no texel is smaller than a pixel, where filters differ.
 
 mod head;
 
@@ -30,9 +30,9 @@ fn main() -> Result<()> {
         ])
     };
     let scenes: Vec<Case> = vec![
-        // Two quads through each other, maps of degree 3 and 1, both counted everywhere.
+        // Two intersecting quads with maps of degree 3 and 1; both are blended everywhere.
         ("quads", none(), quads()?, layers(4), vec![View::default()]),
-        // Only the nearest of them counts.
+        // Only the nearest quad is blended.
         ("nearest", Cloud { count: 50, ..Cloud::default() }, quads()?, layers(1), vec![View::default()]),
         (
             "hybrid50",
@@ -42,7 +42,7 @@ fn main() -> Result<()> {
             vec![View::default(), View::skewed()],
         ),
         ("linear", Cloud { count: 50, ..Cloud::default() }, quads()?, linear(), vec![View::default()]),
-        // Splats across a floor that is seen at 8 degrees.
+        // Splats across a floor that is seen at a grazing angle of 8 degrees.
         (
             "grazing",
             Cloud { count: 50, flat: 0.06, spread: [0.9, 0.03, 0.9], ..Cloud::default() },
@@ -50,7 +50,7 @@ fn main() -> Result<()> {
             layers(1),
             vec![View { elevation: 8.0, ..View::default() }],
         ),
-        // Opacities of nearly 0 and of 1, of splats and of texels.
+        // Splats and texels with opacities of nearly 0 and of 1.
         (
             "opacity",
             Cloud { count: 60, logits: Some([-12.0, -5.6, 12.0, 30.0]), ..Cloud::default() },
@@ -58,7 +58,7 @@ fn main() -> Result<()> {
             layers(2),
             vec![View::default()],
         ),
-        // 1 : 100.
+        // Splats with aspect ratios up to 1 : 100.
         (
             "needles",
             Cloud { count: 80, sizes: [0.004, 0.4], ..Cloud::default() },
@@ -67,9 +67,9 @@ fn main() -> Result<()> {
             vec![View::default()],
         ),
         ("wide", Cloud { count: 80, spread: [1.6; 3], ..Cloud::default() }, quads()?, layers(2), vec![View::wide()]),
-        // Splats alone, the principal point off the middle: what a Mitsuba without our plug-ins shows as well.
+        // Splats alone, with the principal point off centre: Mitsuba can render this without our plug-ins too.
         ("splats80", Cloud { count: 80, ..Cloud::default() }, vec![], layers(1), vec![View::wide()]),
-        // The camera is in some of the splats.
+        // The camera is inside some of the splats.
         (
             "inside",
             Cloud { count: 60, sizes: [0.3, 0.9], spread: [1.5; 3], strongest: 0.4, ..Cloud::default() },
@@ -77,9 +77,9 @@ fn main() -> Result<()> {
             layers(2),
             vec![View { distance: 1.1, ..View::wide() }],
         ),
-        // Pairs in one place, as density control leaves them.
+        // Coincident pairs, as density control creates them.
         ("twins", Cloud { alike: 2, ..Cloud::default() }, quads()?, layers(2), vec![View::default()]),
-        // Splats at one depth, where their order is that of the file; a quarter of them are flat.
+        // Splats at one depth, which are ordered by their index in the file; a quarter of them are flat.
         (
             "wall",
             Cloud { count: 80, spread: [0.8, 0.8, 0.0], thickness: Some(1e-5), ..Cloud::default() },
@@ -87,7 +87,7 @@ fn main() -> Result<()> {
             layers(1),
             vec![View::straight()],
         ),
-        // Most rays are in all of them at once, ten each in one place.
+        // Most rays are inside all splats at once, with ten coincident splats at each of ten places.
         (
             "crowded",
             Cloud {
@@ -102,7 +102,7 @@ fn main() -> Result<()> {
             layers(4),
             vec![View::small()],
         ),
-        // Thin ones about one place, of which rays have left one before they enter the next.
+        // Thin splats close to one place: rays leave one before they enter the next.
         (
             "thin",
             Cloud { count: 6, flat: 1e-3, sizes: [0.2, 0.5], spread: [1e-4; 3], ..Cloud::default() },
@@ -110,7 +110,7 @@ fn main() -> Result<()> {
             layers(4),
             vec![View { elevation: 50.0, ..View::small() }],
         ),
-        // Splats smaller than pixels, which keep their integral.
+        // Splats smaller than pixels, whose integral the pixel filter preserves.
         (
             "filtered",
             Cloud { count: 300, sizes: [0.002, 0.04], ..Cloud::default() },
@@ -143,7 +143,7 @@ fn main() -> Result<()> {
     head::write(Path::new(&folder))
 }
 
-/// Order is by the depths at each pixel, as other programs have it.
+/// Composition ordered by the depths at each pixel, as in other programs.
 fn layers(layers: u32) -> Composition {
     Composition { mode: OrderMode::Direct, layers, ..Composition::default() }
 }
@@ -155,41 +155,41 @@ fn linear() -> Composition {
 /// A camera that looks at the origin.
 struct View {
     distance: f64,
-    /// Above the ground, in degrees.
+    /// Elevation above the ground, in degrees.
     elevation: f64,
-    /// Around the vertical axis, in radians.
+    /// Angle around the vertical axis, in radians.
     azimuth: f64,
     intrinsics: Intrinsics,
 }
 
 impl Default for View {
     fn default() -> Self {
-        // 40 degrees, as if a little out of centre.
+        // 40 degrees, with the principal point slightly off centre.
         let intrinsics = Intrinsics { width: 256, height: 256, fx: 351.7, fy: 351.7, cx: 128.13, cy: 127.91 };
         Self { distance: 4.0, elevation: 5.7, azimuth: 0.13, intrinsics }
     }
 }
 
 impl View {
-    /// A principal point far from the centre, and pixels that are not square.
+    /// A principal point far from the centre, and non-square pixels.
     fn skewed() -> Self {
         let intrinsics = Intrinsics { width: 240, height: 200, fx: 330.3, fy: 287.1, cx: 71.3, cy: 139.9 };
         Self { elevation: 21.0, intrinsics, ..Self::default() }
     }
 
-    /// 110 degrees.
+    /// A field of view of 110 degrees.
     fn wide() -> Self {
         let intrinsics = Intrinsics { width: 256, height: 192, fx: 89.7, fy: 89.7, cx: 117.3, cy: 101.2 };
         Self { distance: 1.6, elevation: 13.0, intrinsics, ..Self::default() }
     }
 
-    /// Along z, so that what has one z has exactly one depth.
+    /// A camera that looks along z, so that splats with equal z have exactly equal depths.
     fn straight() -> Self {
         let intrinsics = Intrinsics { width: 128, height: 128, fx: 175.9, fy: 175.9, cx: 64.13, cy: 63.91 };
         Self { elevation: 0.0, azimuth: 0.0, intrinsics, ..Self::default() }
     }
 
-    /// 30 degrees, in few pixels.
+    /// A field of view of 30 degrees, with few pixels.
     fn small() -> Self {
         let intrinsics = Intrinsics { width: 64, height: 64, fx: 119.3, fy: 119.3, cx: 32.13, cy: 31.91 };
         Self { intrinsics, ..Self::default() }
@@ -209,18 +209,18 @@ impl View {
 /// Random splats of SH degree 3.
 struct Cloud {
     count: usize,
-    /// Half the width in which means are, along each axis.
+    /// Half the width of the box of means, along each axis.
     spread: [f32; 3],
-    /// Standard deviations, log-uniform between these, along each axis of a splat.
+    /// Bounds of the log-uniform standard deviations along each axis of a splat.
     sizes: [f32; 2],
-    /// That along y, as a part of the others.
+    /// Factor on the standard deviation along y.
     flat: f32,
-    /// Logits of opacity, in turn; uniform opacities from 0.15 to `strongest` where there are none.
+    /// Opacity logits, used in turn; if `None`, opacities are uniform from 0.15 to `strongest`.
     logits: Option<[f32; 4]>,
     strongest: f32,
-    /// Standard deviation of every fourth splat along z of its own.
+    /// Standard deviation of every fourth splat along its local z.
     thickness: Option<f32>,
-    /// Of so many in a row, all have the place and shape of the first.
+    /// Number of consecutive splats that share the position and shape of the first.
     alike: usize,
 }
 
@@ -273,9 +273,9 @@ impl Cloud {
 
 #[derive(Clone, Copy)]
 enum Opacity {
-    /// Between, with a hole.
+    /// Intermediate values, with a hole.
     Soft,
-    /// In squares of 0 and 1.
+    /// A chequerboard of 0 and 1.
     Hard,
 }
 

@@ -1,6 +1,7 @@
-//! What all targets do: put the bytes into a file in memory, and read it in every way in which the program would. Also a module of
-//! `tests/damaged_files.rs`, so that it is compiled and run where nobody fuzzes.
-//! That a file is refused is fine; a panic, a hang, or memory beyond the limits of `make fuzz` is a finding.
+//! Work of all fuzz targets: each puts the bytes into a file in memory and reads it in every way in which the program
+//! would. Also a module of `tests/damaged_files.rs`, so that it is compiled and run even where nobody fuzzes.
+//!
+//! An input may be refused; a panic, a hang, or memory use beyond the limits of `make fuzz` is a finding.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -9,7 +10,7 @@ use centaur::capture::{self, CaptureError, Downscale, LoadOptions};
 use centaur::format::{self, ReadOptions, Sampling};
 use tempfile::TempDir;
 
-/// A folder of this process, in memory where the system has such a place.
+/// Temporary folder of this process, in memory if the system has `/dev/shm`.
 fn folder() -> &'static Path {
     static FOLDER: OnceLock<TempDir> = OnceLock::new();
     let made = || {
@@ -25,14 +26,15 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// Puts files that stand one after the other, each but the last preceded by its length in two bytes, into a folder of their own.
+/// Splits concatenated files, each but the last preceded by its length in two bytes, and puts them into their own
+/// folder.
 fn unpacked(names: &[&str], bytes: &[u8]) -> Option<PathBuf> {
     let folder = folder().join(format!("with-{}", names[0]));
     std::fs::create_dir_all(&folder).expect("a folder in a temporary folder");
     unpack(&folder, names, bytes).then_some(folder)
 }
 
-/// The same into this folder; `false` where a length is missing.
+/// Splits concatenated files into this folder; `false` if a length is missing.
 fn unpack(folder: &Path, names: &[&str], bytes: &[u8]) -> bool {
     let Some((last, others)) = names.split_last() else { return false };
     let mut rest = bytes;
@@ -58,24 +60,24 @@ fn read_scene(path: &Path) -> bool {
     strict.is_ok()
 }
 
-/// A scene: read strictly and leniently, at a time, summed up, checked; its cameras by themselves. Here and below: whether it
-/// was taken.
+/// Reads a scene: strictly, leniently, at a point in time, inspected, validated, and its cameras by themselves. Like
+/// the functions below, returns whether the input was accepted.
 pub fn splats(name: &str, bytes: &[u8]) -> bool {
     read_scene(&put(folder(), name, bytes))
 }
 
-/// A mesh alone.
+/// Reads a mesh alone.
 pub fn mesh(name: &str, bytes: &[u8]) -> bool {
     format::mesh_import::read(&put(folder(), name, bytes)).is_ok()
 }
 
-/// A glTF or USD, which may be both.
+/// Reads a glTF or USD, which can be a scene or a mesh.
 pub fn scene_and_mesh(name: &str, bytes: &[u8]) -> bool {
     let is_scene = splats(name, bytes);
     mesh(name, bytes) || is_scene
 }
 
-/// As [`scene_and_mesh`], of several files, of which the first refers to the others.
+/// Like [`scene_and_mesh`], for several files of which the first refers to the others.
 pub fn scene_of_files(names: &[&str], bytes: &[u8]) -> bool {
     let Some(folder) = unpacked(names, bytes) else { return false };
     let path = folder.join(names[0]);
@@ -83,10 +85,10 @@ pub fn scene_of_files(names: &[&str], bytes: &[u8]) -> bool {
     format::mesh_import::read(&path).is_ok() || is_scene
 }
 
-/// A grey photograph of 1×1.
+/// A grey image of 1×1 pixels.
 const PHOTOGRAPH: &[u8] = b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x00\x00\x00\x00:~\x9bU\x00\x00\x00\x0aIDATx\xdach\x00\x00\x00\x82\x00\x81\xdaE\x08;\x00\x00\x00\x00IEND\xaeB`\x82";
 
-/// A capture of photographs `a.png` and `b.png`.
+/// Reads a capture with the photographs `a.png` and `b.png`.
 pub fn capture(names: &[&str], bytes: &[u8]) -> bool {
     let Some(folder) = unpacked(names, bytes) else { return false };
     let images = folder.join("images");
@@ -97,23 +99,23 @@ pub fn capture(names: &[&str], bytes: &[u8]) -> bool {
         }
     }
     let opened = capture::open(&folder, &LoadOptions::default()).is_ok();
-    // A path is no capture.
+    // The capture is also read for its cameras alone, without photographs.
     capture::cameras(&folder, &LoadOptions::default()).is_ok() || opened
 }
 
-/// Of a photograph `a.png` of any size, and one of 1×1.
+/// Capture with a photograph `a.png` of any size, and a photograph `b.png` of 1×1 pixels.
 const TWO_FRAMES: &str = r#"{"camera_angle_x":0.7,"k1":0.01,"frames":[
 {"file_path":"images/a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},
 {"file_path":"images/b.png","transform_matrix":[[0,0,1,4],[0,1,0,0],[-1,0,0,0],[0,0,0,1]]}]}"#;
 
-/// Whether a photograph can be read with its mask, and without and made smaller.
+/// Reads a photograph with its mask, and without a mask but downscaled.
 pub fn decode(folder: &Path) -> [Result<(), CaptureError>; 2] {
     let masked = LoadOptions { masks: true, ..LoadOptions::default() };
     let smaller = LoadOptions { downscale: Downscale::Factor(2), ..LoadOptions::default() };
     [masked, smaller].map(|options| capture::decode(&capture::open(folder, &options)?.views[0]).map(drop))
 }
 
-/// Makes a folder the capture of that, but for `images/a.png` and `masks/a.png`.
+/// Writes the capture `TWO_FRAMES` into a folder, except for `images/a.png` and `masks/a.png`.
 pub fn prepare_for_photograph(folder: &Path) {
     for sub in ["images", "masks"] {
         let sub = folder.join(sub);
@@ -123,9 +125,10 @@ pub fn prepare_for_photograph(folder: &Path) {
     put(folder, "transforms.json", TWO_FRAMES.as_bytes());
 }
 
-/// The mask of a photograph, preceded by its length in two bytes, and the photograph.
+/// Reads a photograph and its mask; the mask comes first, preceded by its length in two bytes.
 pub fn photograph(names: &[&str], bytes: &[u8]) -> bool {
-    // A byte may stand for 32,768 of a stored one, and more of what is made of that: within the limits of `make fuzz`.
+    // A byte of input may decode to 32,768 bytes, and take more memory after that: this bound stays within the limits
+    // of `make fuzz`.
     if bytes.len() > 1500 {
         return false;
     }
@@ -136,7 +139,7 @@ pub fn photograph(names: &[&str], bytes: &[u8]) -> bool {
     unpack(&capture, names, bytes) && decode(&capture).iter().any(Result::is_ok)
 }
 
-/// Gives a checkpoint the checksum that belongs to it: of others that is all that is said.
+/// Replaces the checksum of a checkpoint by the right one: with a wrong one nothing but the checksum would be tested.
 pub fn mend_checksum(bytes: &mut [u8]) {
     if let Some((content, sum)) = bytes.split_last_chunk_mut() {
         let mut crc = flate2::Crc::new();
@@ -145,7 +148,7 @@ pub fn mend_checksum(bytes: &mut [u8]) {
     }
 }
 
-/// A checkpoint.
+/// Reads a checkpoint.
 pub fn checkpoint(bytes: &[u8]) -> bool {
     let mut bytes = bytes.to_vec();
     mend_checksum(&mut bytes);

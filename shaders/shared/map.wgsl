@@ -1,4 +1,4 @@
-// One texture of one mesh, as the kernels that run over its texels see it: a mip pyramid in a buffer of floats.
+// One texture of one mesh, as used by the kernels that run over its texels: a mip pyramid in a buffer of floats.
 
 struct Map {
     offset: u32,        // of level 0, floats
@@ -7,18 +7,18 @@ struct Map {
     levels: u32,
     channels: u32,      // floats per texel
     moments: u32,       // of level 0 in the buffer of moments, pairs
-    level: u32,         // that the kernel writes
+    level: u32,         // level that the kernel writes
     is_base: u32,       // 1: DC and opacity, 0: bands
 }
 
-// Offset of a level. Every level is exactly a quarter of the one before: a geometric series.
+// Offset of a level. Every level has exactly a quarter of the size of the one before: a geometric series.
 fn level_offset(map: Map, level: u32) -> u32 {
     let texels = map.width * map.height - (map.width >> level) * (map.height >> level);
     return map.offset + texels / 3u * 4u * map.channels;
 }
 
-// Quotient and remainder, for i < 2³¹ and d ≤ 2¹⁴. CPUs have no vector division of integers: `/` made up most of the
-// time of these kernels there. The first quotient is off by at most i/d · 2⁻²¹ and a bit, the second by one.
+// Quotient and remainder, for i < 2³¹ and d ≤ 2¹⁴. CPUs have no integer vector division: `/` made up most of the time
+// of these kernels there. The first quotient is off by at most i/d · 2⁻²¹ plus rounding, the second by one.
 fn divide(i: u32, d: u32) -> vec2u {
     let inverse = 1.0 / f32(d);
     var quotient = i32(f32(i) * inverse);

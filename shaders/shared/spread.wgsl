@@ -1,9 +1,10 @@
-// How `blend_backward` adds up over the lanes of a subgroup. $EXCHANGE(value, apart) is the value of the lane whose number is this one's with
-// the bit `apart` turned: subgroupShuffleXor, but in tests (tests/spread.wgsl).
+// Sums over the lanes of a subgroup in `blend_backward`. $EXCHANGE(value, apart) is the value of the lane whose number
+// is this one's with the bit `apart` flipped: subgroupShuffleXor, except in tests (tests/spread.wgsl).
 
-// Sums over a subgroup of at least 8 lanes, for two splats. At every step a lane keeps half of the sums that it has, and gives its
-// neighbour the others for what that has of the first: in the end a lane of 32 has one, for 21 exchanges in five steps, where each of 20
-// sums by itself takes five. Of fewer lanes each has up to three; `places` says which.
+// Sums over a subgroup of at least 8 lanes, for two splats. At every step a lane keeps half of its partial sums, and
+// exchanges the other half for its neighbour's partial sums of the half that it keeps: in the end each of 32 lanes has
+// one sum, after 21 exchanges in five steps, whereas 20 separate sums take five exchanges each. With fewer lanes, each
+// has up to three sums; `places` says which.
 fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32) -> vec3f {
     let is_upper = (vec4u(lane) & vec4u(1u, 2u, 4u, 8u)) != vec4u(0u);
     var of_splat: array<f32, MOMENTS>;
@@ -14,7 +15,7 @@ fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32)
     let h$c = select(of_splat[$c], of_splat[$c + HALF], is_upper.y)
         + $EXCHANGE(select(of_splat[$c + HALF], of_splat[$c], is_upper.y), 2u);
 //#end
-    // Of five the middle one has no other to give for.
+    // The middle one of five has no counterpart to exchange for.
 //#if ABSOLUTE
     let q2 = select(h2, h5, is_upper.z) + $EXCHANGE(select(h5, h2, is_upper.z), 4u);
 //#else
@@ -32,12 +33,12 @@ fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32)
     return vec3f(sum, 0.0, 0.0);
 }
 
-// Which of 2·MOMENTS sums a lane of `spread` has, first those of the first splat; 2·MOMENTS for none.
+// Which of 2·MOMENTS sums a lane of `spread` holds, those of the first splat first; 2·MOMENTS for none.
 fn places(lane: u32, lanes: u32) -> vec3u {
     const NONE: u32 = 2u * MOMENTS;
     let bit = (vec4u(lane) >> vec4u(0u, 1u, 2u, 3u)) & vec4u(1u);
     let of_splat = MOMENTS * bit.x + HALF * bit.y;
-    // Of HALF, the first three or what is left of them.
+    // Of HALF sums, the first three or the rest.
     var place = vec3u(0u, 1u, 2u) + 3u * bit.z;
     if lanes >= 16u { place = vec3u(place.x + 2u * bit.w, select(NONE, place.y, bit.w == 0u), NONE); }
     if lanes >= 32u { place = vec3u(select(place.x, place.y, (lane & 16u) != 0u), NONE, NONE); }

@@ -1,17 +1,18 @@
-// shared/spread.wgsl with LANES lanes, whatever the adapter has: one thread plays them in turn. What it is given as a lane, another has left
-// the time before: after as many times as exchanges follow on one another, and one, all have what they would have in step.
+// shared/spread.wgsl with LANES lanes, whatever the adapter has: one thread simulates them in turn. The value a lane
+// receives is one that another lane left in the previous round: after one more round than there are consecutive
+// exchanges, all lanes have the values that they would have in lockstep.
 //#import shared/spread.wgsl with EXCHANGE=exchange
 
 @group(0) @binding(0) var<storage, read> addends: array<f32>;           // [lane][splat, of two][MOMENTS]
-@group(0) @binding(1) var<storage, read_write> totals: array<vec4f>;    // [lane]: of `spread`; last of four is 0
-@group(0) @binding(2) var<storage, read_write> whose: array<vec4u>;     // [lane]: of `places`; last of four is 0
+@group(0) @binding(1) var<storage, read_write> totals: array<vec4f>;    // [lane]: from `spread`; the last of four is 0
+@group(0) @binding(2) var<storage, read_write> whose: array<vec4u>;     // [lane]: from `places`; the last of four is 0
 
-const EXCHANGES: u32 = 32u;     // at most, of a call of `spread`
+const EXCHANGES: u32 = 32u;     // at most, per call of `spread`
 const TIMES: u32 = 7u;
 
 var<workgroup> left: array<f32, EXCHANGES * LANES>;     // [exchange][lane]
 var<private> this_lane: u32;
-var<private> exchanges: u32;                            // of this call so far
+var<private> exchanges: u32;                            // in this call so far
 
 fn exchange(value: f32, apart: u32) -> f32 {
     let first = exchanges * LANES;

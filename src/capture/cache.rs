@@ -214,7 +214,7 @@ mod tests {
         write_capture(folder.path(), 12, 20, 10);
         let capture = open(folder.path(), &LoadOptions::default()).unwrap();
         let one = 20 * 10 * 4;
-        // Nothing, less than one, five and an eighth, everything.
+        // Budgets for no image, less than one image, some images, and all of them.
         for budget in [0, one - 1, one * 6, one * 100] {
             let cache = PhotoCache::new(budget);
             for round in 0..3 {

@@ -254,7 +254,7 @@ mod tests {
             error(&format!(r#"{{ {lens}, "frames": [] }}"#))
                 .ends_with("/frames: expected at least 1 camera, found none")
         );
-        // Of two files, the one that is at fault is named.
+        // With two files, the error names the faulty one.
         let folder = tempfile::tempdir().unwrap();
         let write = |part: &str, frame: &str| {
             let path = folder.path().join(format!("transforms_{part}.json"));
@@ -290,7 +290,7 @@ mod tests {
         assert_eq!((found.cameras.len(), found.fps), (2, Some(24.0)));
         let (name, camera) = &found.cameras[0];
         assert_eq!((&name[..], camera.center()), ("frame_00000", DVec3::new(7.0, 8.0, 9.0)));
-        // It looks along its −z, the third column: −x in the world; its y, up, is z.
+        // The camera looks along its −z, the third column: −x in the world; its y axis (up) is z.
         assert!(camera.rotation().row(2).abs_diff_eq(-DVec3::X, 1e-12));
         assert!(camera.rotation().row(1).abs_diff_eq(-DVec3::Z, 1e-12));
         let k = camera.intrinsics();

@@ -1,4 +1,4 @@
-//! Models of COLMAP that are damaged, or not quite what COLMAP writes.
+//! COLMAP models that are damaged, or differ slightly from what COLMAP writes.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fn byte_order_marks_are_passed_over() {
     assert_eq!((capture.views.len(), capture.points.len()), (3, 3));
 }
 
-/// Of what is opened and of its cameras alone.
+/// Both when a capture is opened and when only its cameras are read.
 #[test]
 fn further_models_are_passed_over() {
     let folder = tempfile::tempdir().unwrap();

@@ -354,7 +354,7 @@ mod tests {
                 for j in -10..=10 {
                     let p = DVec2::new(f64::from(i), f64::from(j)) * 0.08;
                     let back = lens.undistort(lens.distort(p)).unwrap_or_else(|| panic!("{lens:?} at {p}"));
-                    // 1e-12 is asked of the distorted point; magnification is below 10 here.
+                    // The tolerance of 1e-12 applies to the distorted point; the magnification is below 10 here.
                     assert!(back.distance(p) < 1e-9, "{lens:?}: {p} came back as {back}");
                 }
             }
@@ -363,12 +363,12 @@ mod tests {
 
     #[test]
     fn domain_ends_where_the_polynomial_turns() {
-        // r(1 − k r²) turns at 1/√(3k).
+        // r(1 − k r²) stops growing at 1/√(3k).
         let lens = Distortion::Brown { k: [-0.2, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.0; 2] };
         let turn = 1.0 / (0.6f64).sqrt();
         assert!((lens.domain(3.0) - turn).abs() < 2.0 * 3.0 / 1024.0);
         assert!((lens.domain(1.0) - 1.0).abs() < 1e-12);
-        // The closed form of the division model ends at 1/(2√k).
+        // The closed form of the division model is defined up to 1/(2√k).
         assert!((Distortion::Division { k: 0.25 }.domain(4.0) - 1.0).abs() < 2.0 * 4.0 / 1024.0);
         assert!(Distortion::Brown { k: [f64::NAN; 6], p: [0.0; 2] }.domain(1.0).abs() < 1e-12);
     }
@@ -377,7 +377,7 @@ mod tests {
     fn rectify_straightens_a_picture() {
         let intrinsics = Intrinsics { width: 80, height: 60, fx: 60.0, fy: 62.0, cx: 41.0, cy: 29.0 };
         let lens = Lens { intrinsics, distortion: LENSES[1] };
-        // A photograph whose red and green are the *undistorted* position of each of its pixels.
+        // A photograph in which red and green encode the *undistorted* position of each pixel.
         let mut photo = vec![255; 80 * 60 * 4];
         let pinhole = lens.pinhole();
         assert_eq!(pinhole, intrinsics);
@@ -392,19 +392,20 @@ mod tests {
         for (i, pixel) in pinhole.chunks_exact(4).enumerate() {
             let expected = [2.0 * ((i % 80) as f64 + 0.5) + 30.0, 2.0 * ((i / 80) as f64 + 0.5) + 30.0];
             for c in 0..2 {
-                // Half a level of rounding in the photograph, half in the result: 1 level = half a pixel.
+                // Half a level of rounding in the photograph and half in the result: 1 level = half a pixel.
                 assert!((f64::from(pixel[c]) - expected[c]).abs() <= 1.01, "pixel {i}: {pixel:?} for {expected:?}");
             }
         }
     }
 
-    /// A photograph of 80×60 through a lens of this k₁, with the principal point in column `cx`.
+    /// Lens of an 80×60 photograph with this k₁ and the principal point in column `cx`.
     fn radial(k1: f64, cx: f64) -> Lens {
         let intrinsics = Intrinsics { width: 80, height: 60, fx: 60.0, fy: 62.0, cx, cy: 29.0 };
         Lens { intrinsics, distortion: Distortion::Brown { k: [k1, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.0; 2] } }
     }
 
-    /// Its border lies in the photograph, but not so with a little less of focal length, and its pixels show what their rays meet.
+    /// The border of the pinhole image lies in the photograph, but would not with a slightly smaller focal length, and
+    /// its pixels show what their rays meet.
     #[test]
     fn pincushion_pictures_are_cut_to_what_their_photographs_show() {
         for k1 in [0.04, 0.3] {
@@ -420,7 +421,8 @@ mod tests {
                 border(80, 60).all(|(x, y)| lens.shows(ray(x, y), lens.domain()).is_some())
             };
             assert!(is_shown(times) && !is_shown(times - 1e-6));
-            // Red and green are where the ray of each pixel of the photograph meets the plane z = 1, 150 levels a unit.
+            // Red and green encode where the ray of each photograph pixel meets the plane z = 1, at 150 levels per
+            // unit.
             let mut photo = vec![255; 80 * 60 * 4];
             for (i, pixel) in photo.chunks_exact_mut(4).enumerate() {
                 let uv = DVec2::new((i % 80) as f64 + 0.5, (i / 80) as f64 + 0.5);
@@ -436,7 +438,8 @@ mod tests {
                     ((i / 80) as f64 + 0.5 - pinhole.cy) / pinhole.fy,
                 ];
                 for (level, p) in pixel.iter().zip(ray) {
-                    // A level of rounding; beyond the centres of the last pixels half a pixel of 2.5 levels.
+                    // One level of rounding; beyond the centres of the outermost pixels half a pixel, at 2.5 levels per
+                    // pixel.
                     let off = (f64::from(*level) - (150.0 * p + 128.0)).abs();
                     assert!(off <= 2.3, "{k1}, pixel {i}: {pixel:?} for {ray:?}");
                 }
@@ -446,14 +449,15 @@ mod tests {
 
     #[test]
     fn other_lenses_keep_their_focal_length() {
-        // Their photographs show more than the frame on all sides.
+        // Photographs by these lenses show more than the frame on all sides.
         for distortion in [0, 1, 3, 6, 7, 8, 9].map(|i| LENSES[i]) {
             let lens = Lens { distortion, ..radial(0.0, 41.0) };
             assert_eq!(lens.pinhole(), lens.intrinsics, "{distortion:?}");
         }
-        // Half a pixel's worth is none: the centres of pixels are inside.
+        // Distortion by half a pixel changes nothing: pixel centres remain inside.
         assert_eq!(radial(0.01, 41.0).pinhole(), radial(0.01, 41.0).intrinsics);
-        // What twice the focal length does not help, and nothing does where what is closer is farther out.
+        // Lenses for which twice the focal length is not enough, or for which no focal length helps because the
+        // distortion is not monotonic.
         for lens in [radial(8.0, 41.0), radial(0.04, -20.0), radial(f64::NAN, 41.0)] {
             assert_eq!(lens.pinhole(), lens.intrinsics, "{lens:?}");
             let (picture, outside) = lens.rectify(&[255; 80 * 60 * 4]);

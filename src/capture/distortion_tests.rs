@@ -1,4 +1,4 @@
-//! What pinhole images show of photographs, for any lens.
+//! Property tests of the region of a photograph that pinhole images show, for any lens.
 
 use glam::DVec2;
 use proptest::prelude::*;
@@ -7,7 +7,8 @@ use super::{Distortion, Lens};
 use crate::scene::Intrinsics;
 
 proptest! {
-    /// Every pixel shows something; with a little less of focal length one would not, unless it is the photograph's own.
+    /// Every pixel shows part of the photograph; with a slightly smaller focal length one would not, unless the focal
+    /// length is that of the photograph.
     #[test]
     fn pinholes_are_cut_to_their_photographs_and_no_further(
         k1 in -0.15..0.3_f64, k2 in -0.05..0.1_f64, p in prop::array::uniform2(-2e-3..2e-3_f64),

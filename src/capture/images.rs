@@ -353,7 +353,7 @@ mod tests {
     use crate::format::test_scenes::{black_png, profiled_png};
     use image::RgbImage;
 
-    /// A 16×8 JPEG with a bright top left quarter.
+    /// A 16×8 JPEG with a bright top-left quarter.
     fn jpeg() -> Vec<u8> {
         let image = GrayImage::from_fn(16, 8, |x, y| image::Luma([if x < 8 && y < 4 { 250 } else { 5 }]));
         let mut bytes = Vec::new();
@@ -361,7 +361,7 @@ mod tests {
         bytes
     }
 
-    /// The same with an EXIF orientation, and with an end-of-image marker inside the EXIF block, as a thumbnail has.
+    /// [`jpeg`] with an EXIF orientation, and with an end-of-image marker inside the EXIF block, as a thumbnail has.
     fn oriented(orientation: u8) -> Vec<u8> {
         let mut exif = b"Exif\0\0MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".to_vec();
         exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0xff, 0xd9]);
@@ -378,7 +378,7 @@ mod tests {
         folder
     }
 
-    /// The first picture of that capture.
+    /// First picture of [`capture_of`] these bytes.
     fn photo_of(bytes: &[u8], width: u32, height: u32, downscale: Downscale) -> Result<Photo, CaptureError> {
         let folder = capture_of(bytes, width, height);
         let capture = open(folder.path(), &LoadOptions { downscale, ..LoadOptions::default() })?;
@@ -393,28 +393,28 @@ mod tests {
 
     #[test]
     fn exif_turns_pictures_of_which_only_the_upright_one_fits() {
-        // Orientation 6 is turned by 90° clockwise: the bright quarter comes to the top right.
+        // Orientation 6 rotates by 90° clockwise: the bright quarter moves to the top right.
         let photo = photo_of(&oriented(6), 8, 16, Downscale::Full).unwrap();
         assert_eq!((photo.width, photo.height), (8, 16));
         assert!(photo.rgba[4 * 6] > 200 && photo.rgba[4] < 50);
-        // Poses of the stored picture: it stays as it is.
+        // With poses of the stored picture, it stays as it is.
         let photo = photo_of(&oriented(6), 16, 8, Downscale::Full).unwrap();
         assert!(photo.width == 16 && photo.rgba[0] > 200);
-        // Of a nearly square one that was resized only the upright one is exactly in proportion.
+        // Of a nearly square picture that was resized, only the upright version has exactly the right proportions.
         let (stored, camera) = ((1004, 1000), (4000, 4016));
         let header = Header { size: stored, orientation: Orientation::Rotate90, has_alpha: false };
         let ways = [header.stored(), header.upright()];
         assert_eq!(fitting(ways, camera), Some((Orientation::Rotate90, (1000, 1004))));
         assert_eq!(fitting(ways, (camera.1, camera.0)), Some((Orientation::NoTransforms, stored)));
-        // Orientation 3 is upside down, which no size tells.
+        // Orientation 3 is upside down, which sizes cannot reveal.
         let photo = photo_of(&oriented(3), 16, 8, Downscale::Full).unwrap();
         assert!(photo.rgba[0] > 200 && photo.rgba[4 * (16 * 8 - 1)] < 50);
     }
 
-    /// Whatever is done to a photograph because of its EXIF orientation, or not done, happens to its mask.
+    /// A mask is rotated by its EXIF orientation exactly if its photograph is.
     #[test]
     fn masks_are_turned_as_their_photographs() {
-        // White at the top left, stored as the photograph, and upright where that is orientation 6.
+        // White at the top left as stored in the photograph, and upright for orientation 6.
         let upright = || {
             DynamicImage::ImageLuma8(GrayImage::from_fn(8, 16, |x, y| {
                 image::Luma([if x >= 4 && y < 8 { 255 } else { 0 }])
@@ -459,7 +459,8 @@ mod tests {
         );
     }
 
-    /// Nothing is masked without a mask, whatever the lens, unless that is extreme. Cameras are the same without photographs.
+    /// Without a mask nothing is masked, whatever the lens, unless it is extreme. Cameras are the same when read
+    /// without photographs.
     #[test]
     fn pinholes_are_within_their_photographs() {
         let folder = capture_of(&png(&DynamicImage::new_rgb8(160, 80)), 160, 80);
@@ -494,7 +495,7 @@ mod tests {
         }
     }
 
-    /// Columns 0 to 4 of 16 are of the first colour.
+    /// Columns 0 to 4 of 16 have the first colour.
     fn labelled<P: image::Pixel>(label: P, rest: P) -> DynamicImage
     where
         DynamicImage: From<image::ImageBuffer<P, Vec<P::Subpixel>>>,
@@ -502,7 +503,7 @@ mod tests {
         image::ImageBuffer::from_fn(16, 8, |x, _| if x < 5 { label } else { rest }).into()
     }
 
-    /// As COLMAP has it: what is not black counts, whatever number or colour of a palette it is.
+    /// As in COLMAP, every pixel that is not black counts, whatever its label number or palette colour.
     #[test]
     fn masks_of_labels_are_masks() {
         use image::{Luma, LumaA, Rgb};
@@ -518,7 +519,7 @@ mod tests {
         let whole = DynamicImage::ImageLuma8(GrayImage::from_pixel(16, 8, Luma([255])));
         assert!(weights(whole).iter().all(|w| *w == 255));
         assert!(weights(DynamicImage::new_luma8(16, 8)).iter().all(|w| *w == 0));
-        // Several levels are shares.
+        // Several levels are fractions.
         let shares = image::ImageBuffer::from_fn(256, 1, |x, _| LumaA([x as u8, if x == 9 { 0 } else { 255 }]));
         assert!(weights(shares.into()).iter().enumerate().all(|(x, w)| usize::from(*w) == if x == 9 { 0 } else { x }));
     }
@@ -557,7 +558,7 @@ mod tests {
             refused.contains("00.png: mask: ") && refused.ends_with("found black alone, as in all masks"),
             "{refused}"
         );
-        // One label each; and shares, of which one view may see but the faintest.
+        // A single label per mask; and fractions, of which one view may contain only faint ones.
         for (first, second) in [([1, 1], [2, 2]), ([0, 0], [3, 3]), ([1, 2], [9, 255])] {
             assert!(opened(first, second).is_ok(), "{first:?} {second:?}");
         }
@@ -565,8 +566,8 @@ mod tests {
 
     #[test]
     fn truncated_pictures_are_refused() {
-        // A PNG without its last chunk has all its pixels; a JPEG without its last marker cannot be told from one
-        // that lacks more.
+        // A PNG without its last chunk has all its pixels; a JPEG without its last marker cannot be told from one that
+        // lacks more.
         let noise = RgbImage::from_fn(16, 8, |x, y| image::Rgb([x * 97, y * 101, x * y * 31].map(|v| (v % 251) as u8)));
         for (bytes, last) in [(oriented(1), 2), (png(&noise.into()), 40)] {
             assert!(photo_of(&bytes, 16, 8, Downscale::Full).is_ok());
@@ -578,8 +579,8 @@ mod tests {
         }
     }
 
-    /// Protocols with pictures made smaller on loading mean Pillow's: `Image.resize((5, 4), BICUBIC)` of this picture by Pillow 13.0.0. It rounds
-    /// between the two directions, and we do not.
+    /// Evaluation protocols that downscale pictures on loading use Pillow: `Image.resize((5, 4), BICUBIC)` of this
+    /// picture by Pillow 13.0.0. Pillow rounds between the two directions, and we do not.
     #[test]
     fn pictures_are_made_smaller_as_by_pillow() {
         let picture = RgbaImage::from_fn(13, 11, |x, y| {
@@ -605,7 +606,7 @@ mod tests {
         let mut bytes = png(&DynamicImage::new_rgb8(16, 8));
         assert!(photo_of(&png(&DynamicImage::new_rgb8(4000, 3000)), 4000, 3000, Downscale::Factor(99)).is_ok());
         assert!(photo_of(&black_png(4000, 3000), 4000, 3000, Downscale::Factor(99)).is_ok());
-        // IHDR with 16384×16384 pixels and its checksum.
+        // IHDR chunk with 16384×16384 pixels and its checksum.
         let mut crc = !0u32;
         bytes[16..24].copy_from_slice(&[0, 0, 0x40, 0, 0, 0, 0x40, 0]);
         for &b in &bytes[12..29] {
@@ -631,7 +632,7 @@ mod tests {
         let sharp = RgbaImage::from_fn(16, 16, |x, _| if x < 6 { Rgba([200, 100, 50, 255]) } else { Rgba([0; 4]) });
         let photo = photo_of(&png(&sharp.into()), 16, 16, Downscale::Factor(4)).unwrap();
         for pixel in photo.rgba.chunks_exact(4).filter(|p| p[3] > 0) {
-            // One level of rounding, and what 8-bit alpha leaves of small weights.
+            // One level of rounding, and the error that 8-bit alpha causes for small weights.
             assert!(pixel[..3].iter().zip([200, 100, 50]).all(|(a, b)| a.abs_diff(b) <= 2), "{pixel:?}");
         }
         assert!((100..156).contains(&photo.rgba[4 + 3]), "half covered: {}", photo.rgba[4 + 3]);
@@ -648,10 +649,10 @@ mod tests {
         let expected = Some((Orientation::Rotate90, (16, 8)));
         let short = oriented(6);
         assert_eq!(found(&short), expected);
-        // What goes on for a terabyte, of which the disk holds the beginning, is not read: there is no such memory.
+        // Of a file of a terabyte, only the beginning is read: the whole would not fit in memory.
         std::fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(1 << 40).unwrap();
         assert_eq!(header(&path).map(|header| (header.orientation, header.size)).ok(), expected);
-        // Profiles that fill the beginning.
+        // Colour profiles fill the beginning of the file.
         let profile = [&[0xff, 0xe2, 0xff, 0xff][..], &[0; 0xfffd]].concat();
         assert_eq!(found(&[&short[..2], &profile.repeat(3), &short[2..]].concat()), expected);
     }
@@ -664,7 +665,7 @@ mod tests {
         assert!(decode(&view).unwrap_err().to_string().contains("expected 16×8, found 8×4"));
     }
 
-    /// Of one that is too long the picture is read without it.
+    /// If a colour profile is too long, the picture is read without it.
     #[test]
     fn colour_profiles_unpack_to_little() {
         let profile = |bytes: usize| {

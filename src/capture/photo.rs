@@ -95,7 +95,7 @@ impl Photo {
 mod tests {
     use super::*;
 
-    /// Of 2×2 pixels: all there, half, a little less, and nothing.
+    /// A photograph of 2×2 pixels with alpha of one, a half, slightly less than a half, and zero.
     fn photo(masked: bool, has_alpha: bool) -> Photo {
         let rgba = [[0_u8, 51, 255, 255], [102, 0, 0, 128], [0, 0, 0, 127], [9, 9, 9, 0]].concat();
         Photo { width: 2, height: 2, rgba, has_alpha, masked }
@@ -133,7 +133,7 @@ mod tests {
         let photo = Photo { width: 2, height: 2, rgba, has_alpha: true, masked: false };
         let at = |x: f64, y: f64| photo.sample(DVec2::new(x, y));
         assert_eq!(at(1.0, 0.75), Some([0.5, 0.25, 0.0]));
-        // At the border, and beyond it, there is nothing to mix with.
+        // At the border and beyond it there is nothing to interpolate with.
         for (x, y) in [(2.0, 2.0), (1.5, 1.5), (7.0, 3.0)] {
             assert_eq!(at(x, y), Some([1.0, 1.0, 0.0]));
         }

@@ -1,4 +1,4 @@
-//! Captures written by the test itself: COLMAP in both encodings, and what is wrong with them.
+//! Captures written by the tests themselves: COLMAP in both encodings, and errors in them.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -11,7 +11,7 @@ use super::transforms_tests::write_transforms;
 use super::*;
 use crate::scene::Intrinsics;
 
-/// A camera file with one camera.
+/// Contents of a `cameras.bin` with one camera.
 pub(super) fn cameras_bin(model: i32, width: u64, height: u64, parameters: &[f64]) -> Vec<u8> {
     let mut out = 1u64.to_le_bytes().to_vec();
     out.extend(7u32.to_le_bytes());
@@ -22,7 +22,7 @@ pub(super) fn cameras_bin(model: i32, width: u64, height: u64, parameters: &[f64
     out
 }
 
-/// Image i stands at x = i and looks along z; every second one has an observation.
+/// Contents of an `images.bin`: image i is at x = i and looks along z; every second one has an observation.
 fn images_bin(names: &[String]) -> Vec<u8> {
     let mut out = (names.len() as u64).to_le_bytes().to_vec();
     for (i, name) in names.iter().enumerate() {
@@ -54,7 +54,7 @@ fn points_bin(count: u64) -> Vec<u8> {
     out
 }
 
-/// A binary COLMAP capture of `count` PNG images `00.png`, …, each of another grey.
+/// Writes a binary COLMAP capture of `count` PNG images `00.png`, …, each of a different grey.
 pub(super) fn write_capture(root: &Path, count: usize, width: u32, height: u32) {
     let names: Vec<String> = (0..count).map(|i| format!("{i:02}.png")).collect();
     let sparse = root.join("sparse/0");
@@ -71,7 +71,7 @@ pub(super) fn write_capture(root: &Path, count: usize, width: u32, height: u32) 
     }
 }
 
-/// The capture of three images of 20×10 pixels with a model in text.
+/// Writes a capture of three images of 20×10 pixels with a text model.
 pub(super) fn write_text_capture(root: &Path) {
     write_capture(root, 3, 20, 10);
     let sparse = root.join("sparse/0");
@@ -81,7 +81,7 @@ pub(super) fn write_text_capture(root: &Path) {
     std::fs::write(sparse.join("cameras.txt"), "# comment\n7 PINHOLE 20 10 20 20 10 5\n").unwrap();
     let mut images = String::from("# comment\n");
     for i in [2, 0, 1] {
-        // The second lines: empty, and one observation.
+        // Second lines of images: empty, and with one observation.
         write!(images, "{} 1 0 0 0 {} 0 0 7 {i:02}.png\n{}\n", i + 1, -i, ["", "1.5 2.5 -1"][i as usize % 2]).unwrap();
     }
     std::fs::write(sparse.join("images.txt"), images).unwrap();
@@ -89,7 +89,7 @@ pub(super) fn write_text_capture(root: &Path) {
     std::fs::write(sparse.join("points3D.txt"), points).unwrap();
 }
 
-/// The message of the error that opening `root` gives, which must be one line.
+/// Message of the error when opening `root`, which must be one line.
 pub(super) fn message(root: &Path, options: &LoadOptions) -> String {
     let message = open(root, options).expect_err("must be refused").to_string();
     assert!(!message.contains('\n'), "one line: {message}");
@@ -129,7 +129,8 @@ fn downscale_and_other_folders_keep_the_field_of_view() {
         RgbImage::new(20, 10).save(root.join(format!("images_2/{i:02}.png"))).unwrap();
     }
     let options = LoadOptions { images: Some("images_2".into()), ..full() };
-    // 41/21 and 20/10 are 2.4 % apart, 41/21 and 41/21 rounded to 1/2 too: refused, with both sizes.
+    // 41/21 and 20/10 differ by 2.4 %, and so do 41/21 and 41/21 rounded to 1/2: refused, with both sizes in the
+    // message.
     let refused = message(root, &options);
     assert!(refused.contains("41×21") && refused.contains("20×10"), "{refused}");
 
@@ -143,7 +144,7 @@ fn downscale_and_other_folders_keep_the_field_of_view() {
     assert_eq!(Downscale::MaxSide(1600).size(4000, 3000), (1600, 1200));
     assert_eq!(Downscale::MaxSide(1600).size(400, 300), (400, 300));
     assert_eq!(Downscale::Factor(0).size(4, 3), (4, 3));
-    // As Python rounds halves.
+    // Halves are rounded to even, as in Python.
     assert_eq!(Downscale::Factor(4).size(4946, 14), (1236, 4));
 }
 
@@ -229,7 +230,7 @@ fn broken_captures_are_refused_in_one_line() {
     let mut nan = images_bin(&names(["00.png", "01.png", "02.png"]));
     nan[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
     assert!(refused("images.bin", nan).contains("quaternion"));
-    // Its length is infinite, and what that divides nothing.
+    // The norm of the quaternion overflows to infinity, and dividing by it would give zeros.
     let mut large = images_bin(&names(["00.png", "01.png", "02.png"]));
     large[12..20].copy_from_slice(&1e200_f64.to_le_bytes());
     assert!(refused("images.bin", large).contains("quaternion"));
@@ -256,7 +257,7 @@ struct ModelCase {
     pixels: Vec<[f64; 2]>,
 }
 
-/// Values by pycolmap: `tests/oracles/check_colmap_models.py`.
+/// Values computed by pycolmap: `tests/oracles/check_colmap_models.py`.
 #[test]
 fn camera_models_project_as_in_colmap() {
     let cases: Vec<ModelCase> = serde_json::from_str(include_str!("../../tests/data/colmap_models.json")).unwrap();
@@ -268,7 +269,7 @@ fn camera_models_project_as_in_colmap() {
         for (point, pixel) in case.points.iter().zip(case.pixels) {
             let d = lens.distortion.distort(DVec3::from(*point).truncate() / point[2]);
             let found = glam::DVec2::new(k.fx * d.x + k.cx, k.fy * d.y + k.cy);
-            // Both sides compute in f64; 1e-9 of a pixel leaves room for another order of operations.
+            // Both sides compute in f64; 1e-9 of a pixel allows for a different order of operations.
             assert!(found.distance(pixel.into()) < 1e-9, "{}: {found} for {pixel:?}", case.model);
             let back = lens.undistort(found, &k).unwrap();
             let pinhole = glam::DVec2::new(k.fx * point[0] / point[2] + k.cx, k.fy * point[1] / point[2] + k.cy);
@@ -317,7 +318,7 @@ proptest! {
     }
 }
 
-/// Else every second image would be passed over.
+/// Otherwise every second image would be skipped.
 #[test]
 fn images_txt_without_its_empty_lines_is_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -352,7 +353,7 @@ fn a_photograph_is_one_view_however_its_path_is_written() {
     }
 }
 
-/// Of a copy as of the capture itself, until a photograph, a mask or the points are others.
+/// A copy has the fingerprint of the capture, until a photograph, a mask or the points change.
 #[test]
 fn fingerprints_are_of_photographs_masks_and_points_too() {
     let print = |change: &dyn Fn(&Path)| {
@@ -381,7 +382,7 @@ fn fingerprints_are_of_photographs_masks_and_points_too() {
     found.dedup();
     assert_eq!(found.len(), 5);
     assert_eq!(fingerprint(tempfile::tempdir().unwrap().path(), None).unwrap(), None);
-    // A mask that frames name.
+    // A mask that is named by a frame.
     let print = |side: u32| {
         let folder = tempfile::tempdir().unwrap();
         write_transforms(folder.path(), 0.0);
@@ -390,7 +391,7 @@ fn fingerprints_are_of_photographs_masks_and_points_too() {
         fingerprint(folder.path(), None).unwrap()
     };
     assert!(print(8) == print(8) && print(8) != print(800));
-    // Photographs in another folder, which alone are trained on.
+    // Photographs in another folder, which is the only one trained on.
     let folder = tempfile::tempdir().unwrap();
     write_capture(folder.path(), 3, 20, 10);
     let [images, smaller] = ["images", "images_2"].map(|name| folder.path().join(name));
@@ -406,11 +407,11 @@ fn scenes_too_far_away_for_floats_are_refused() {
     let root = folder.path();
     write_transforms(root, 1000.0);
     assert!(open(root, &full()).is_ok());
-    // Half a metre apart there, in a scene of half a metre.
+    // Cameras half a metre apart, far from the origin, in a scene of half a metre.
     write_transforms(root, 5e6);
     let far = message(root, &full());
     assert!(far.contains("coordinates of 5000001, where they are 6.0e-1 apart, in a scene of 0.550"), "{far}");
-    // Of cameras in one place points say how large it is.
+    // With all cameras in one place, the points define the size of the scene.
     write_transforms(root, 0.0);
     let mut views = open(root, &full()).unwrap().views;
     let center = DVec3::new(5e5, 4e6, 0.0);
@@ -422,12 +423,12 @@ fn scenes_too_far_away_for_floats_are_refused() {
         near_origin(views, &[Point { position: center + DVec3::X * away, rgb: [0; 3] }], root).is_ok()
     };
     assert!(near_origin(&views, &[], root).is_ok() && is_fine(&views, 5000.0) && !is_fine(&views, 50.0));
-    // As do files that round where they are.
+    // So do they if the cameras differ only because files round their positions.
     let beside = views[1].camera;
     let rounded = beside.translation() + DVec3::X * 1e-8 * center.length();
     views[1].camera = Camera::new(*beside.intrinsics(), beside.rotation(), rounded).unwrap();
     assert!(near_origin(&views, &[], root).is_ok() && is_fine(&views, 5000.0) && !is_fine(&views, 50.0));
-    // Mountains around a table make it no larger.
+    // Distant mountains around a table do not make the scene larger.
     let apart = beside.translation() + DVec3::X;
     views[1].camera = Camera::new(*beside.intrinsics(), beside.rotation(), apart).unwrap();
     let mountains: Vec<Point> =
@@ -435,7 +436,7 @@ fn scenes_too_far_away_for_floats_are_refused() {
     assert!(near_origin(&views, &mountains, root).is_err());
 }
 
-/// As far as rounding tells.
+/// Camera centres that differ only by rounding.
 #[test]
 fn cameras_on_a_tripod_have_no_extent() {
     let center = DVec3::new(7.1, -3.3, 2.7);

@@ -1,4 +1,4 @@
-//! `transforms*.json` written by the tests themselves, and what is wrong with them.
+//! `transforms*.json` files written by the tests themselves, and errors in them.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use super::tests::{full, message, write_capture};
 use super::*;
 use crate::scene::Intrinsics;
 
-/// Lengths in pixels are of the photographs that a file names, not of the smaller ones that are taken in their place.
+/// Lengths in pixels refer to the photographs that the file names, not to the smaller ones used in their place.
 #[test]
 fn other_folders_keep_the_field_of_view_of_files_without_a_size() {
     let folder = tempfile::tempdir().unwrap();
@@ -37,7 +37,7 @@ fn other_folders_keep_the_field_of_view_of_files_without_a_size() {
     assert_eq!(read().unwrap(), expected);
     std::fs::remove_dir_all(root.join("images")).unwrap();
     assert!(message(root, &options).contains("expected w and h beside fl_x"), "{}", message(root, &options));
-    // Angles are of any size.
+    // Fields of view do not depend on the size.
     write(serde_json::json!({ "camera_angle_x": 2.0 * (10.0_f64 / 25.0).atan() }));
     assert!((read().unwrap().fx - 25.0).abs() < 1e-9);
 }
@@ -49,7 +49,7 @@ fn transforms_in_opengl_axes() {
     let root = folder.path();
     std::fs::create_dir_all(root.join("train")).unwrap();
     std::fs::create_dir_all(root.join("test")).unwrap();
-    // OpenGL camera at (0, 0, 4) that looks along its −z, at the origin.
+    // OpenGL camera at (0, 0, 4) that looks along its −z, towards the origin.
     let pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]";
     for (part, count) in [("train", 2), ("test", 1)] {
         let mut frames = vec![];
@@ -70,7 +70,7 @@ fn transforms_in_opengl_axes() {
     // tan 45° = 1: the focal length is half the width.
     assert!((camera.intrinsics().fx - 4.0).abs() < 1e-9 && (camera.intrinsics().fy - 4.0).abs() < 1e-9);
     assert!(camera.center().distance(DVec3::new(0.0, 0.0, 4.0)) < 1e-12);
-    // World up is up in the picture: a point above the origin falls on the upper half.
+    // World up is up in the picture: a point above the origin projects to the upper half.
     let p = camera.to_camera(DVec3::new(1.0, 2.0, 0.0));
     assert!(p.distance(DVec3::new(1.0, -2.0, 4.0)) < 1e-12, "{p}");
     let photo = decode(&capture.views[0]).unwrap();
@@ -87,14 +87,14 @@ fn transforms_in_opengl_axes() {
     std::fs::write(&file, frames(r#","k1":0.1,"p1":0.01,"test_filenames":["./train/r_1.png"]"#)).unwrap();
     let capture = open(&file, &full()).unwrap();
     let k = capture.views[1].source.lens().intrinsics;
-    // What a frame says of one axis it says of both, as in instant-ngp.
+    // A value that a frame gives for one axis applies to both, as in instant-ngp.
     assert_eq!((k.fx, k.fy, k.cx, k.cy), (5.0, 5.0, 4.5, 3.5));
     let brown = Distortion::Brown { k: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], p: [0.01, 0.0] };
     assert_eq!(capture.views[1].source.lens().distortion, brown);
     assert_eq!(Split::Every8th.split(&capture.views), (vec![0], vec![1]));
     assert!(capture.points.is_empty());
 
-    // Points are in the world of the poses, of every file once.
+    // Points are in the world frame of the poses; every file is read only once.
     let ply = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
                property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 10 20 30\n4 5 6 40 50 60\n";
     std::fs::write(root.join("sparse_pc.ply"), ply).unwrap();
@@ -102,7 +102,7 @@ fn transforms_in_opengl_axes() {
     let points = open(&file, &full()).unwrap().points;
     let expected = [([1.0, 2.0, 3.0], [10, 20, 30]), ([4.0, 5.0, 6.0], [40, 50, 60])];
     assert_eq!(points, expected.map(|(p, rgb)| Point { position: DVec3::from(p), rgb }));
-    // A world that is y up is turned into the frame of captures, points and all.
+    // A y-up world is rotated into the frame of captures, including its points.
     let there = open(&file, &full()).unwrap();
     std::fs::write(&file, frames(r#","ply_file_path":"./sparse_pc.ply","centaur":{"y_up":true}"#)).unwrap();
     let turned = open(&file, &full()).unwrap();
@@ -126,7 +126,7 @@ fn transforms_in_opengl_axes() {
         std::fs::write(&file, frames(lists)).unwrap();
         assert_eq!(Split::Every8th.split(&open(&file, &full()).unwrap().views), (vec![1], vec![0]), "{lists}");
     }
-    // What is in no list is left out.
+    // Frames that are in no list are left out.
     std::fs::write(&file, frames(r#","train_filenames":["train/r_1.png"]"#)).unwrap();
     assert!(message(&file, &full()).contains("at least 2 posed images, found 1"));
     std::fs::write(&file, frames(r#","train_filenames":["train/r_1.png","train/r_0"]"#)).unwrap();
@@ -178,7 +178,7 @@ fn frames_have_lenses_of_their_own() {
     write_transforms(folder.path(), 0.0);
     let file = folder.path().join("transforms.json");
     let text = std::fs::read_to_string(&file).unwrap();
-    // Pictures of 8×8; 90° are half of a side.
+    // Pictures of 8×8 pixels; at 90° the focal length is half of a side.
     let focal = |of_file: &str, of_frame: &str| {
         let own = format!(r#""file_path":"1.png",{of_frame}"#);
         let text = text.replace(r#""fl_x":8"#, of_file).replace(r#""file_path":"1.png","#, &own);
@@ -213,7 +213,7 @@ fn frames_have_lenses_of_their_own() {
     focal(r#""fl_x":8,"camera_model":"OPENCV_FISHEYE","is_fisheye":true"#, "").unwrap();
 }
 
-/// In nerfstudio's order, before what stands beside them.
+/// The list is in nerfstudio's order and takes precedence over single coefficients beside it.
 #[test]
 fn distortion_is_also_a_list() {
     let folder = tempfile::tempdir().unwrap();
@@ -231,7 +231,7 @@ fn distortion_is_also_a_list() {
     assert!(refusal.contains("expected six distortion_params: k1, k2, k3, k4, p1, p2, found 2"), "{refusal}");
 }
 
-/// Also where their axes are rounded, or a little longer than one.
+/// Also if the axes in the matrix are rounded, or slightly longer than one.
 #[test]
 fn cameras_are_where_their_matrices_say() {
     let (sin, cos) = 0.4_f64.sin_cos();
@@ -294,7 +294,7 @@ fn paths_of_windows_are_read_everywhere() {
         write(outside);
         assert!(message(folder.path(), &full()).contains("expected a path inside the capture"), "{outside}");
     }
-    // Masks that nobody asks for may be anywhere.
+    // Masks that are not asked for may be anywhere.
     for mask in ["../out.png", "/out.png", ""] {
         let text = text.replace("cut/out.png", mask).replace(r#""file_path":""#, r#""file_path":"images/"#);
         std::fs::write(at("transforms.json"), text).unwrap();
@@ -305,7 +305,7 @@ fn paths_of_windows_are_read_everywhere() {
     }
 }
 
-/// Two frames of `transforms.json` from `x` on, the second with a mask.
+/// Writes a `transforms.json` with two frames, at `x` and `x` + 1, the second with a mask.
 pub(super) fn write_transforms(root: &Path, x: f64) {
     let frames: Vec<String> = [(0, ""), (1, r#""mask_path":"cut/out.png","#)]
         .into_iter()
@@ -327,7 +327,7 @@ fn what_lies_beside_transforms_does_not_hide_them() {
     write_transforms(root, 0.0);
     std::fs::write(root.join("frames.txt"), "file '0.png'\nfile '1.png'\n").unwrap();
     assert_eq!(open(root, &full()).unwrap().views.len(), 2);
-    // A model in the folder itself is one still.
+    // A COLMAP model directly in the folder is recognised.
     write_capture(root, 3, 8, 8);
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
         std::fs::rename(root.join("sparse/0").join(file), root.join(file)).unwrap();
@@ -338,7 +338,8 @@ fn what_lies_beside_transforms_does_not_hide_them() {
     assert_eq!((named.views.len(), named.passed_over), (2, vec![]));
 }
 
-/// Of two files, and not of one: of that every eighth view is held out, as where it is named.
+/// Two files define a split; a single one does not: every eighth of its views is held out, as if it were named
+/// explicitly.
 #[test]
 fn a_split_is_of_two_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -352,7 +353,7 @@ fn a_split_is_of_two_files() {
         assert_eq!(capture.views[0].source.held_out(), None);
         std::fs::rename(at(name), at("transforms.json")).unwrap();
     }
-    // Where none is for tests, what is for validation is held out.
+    // Without a test file, the validation file is held out.
     let other = tempfile::tempdir().unwrap();
     for (part, x) in [("val", 9.0), ("train", 0.0)] {
         write_transforms(other.path(), x);
@@ -370,7 +371,7 @@ fn a_split_is_of_two_files() {
         let names: Vec<&str> = views_of_part.iter().map(|&i| views[i].name.as_str()).collect();
         assert_eq!(names, [0, 1].map(|i| format!("{part}{i}.png")));
     }
-    // Beside one of all frames they are passed over.
+    // Beside a `transforms.json` with all frames they are ignored.
     for name in ["transforms_train.json", "transforms_test.json"] {
         std::fs::copy(at("transforms.json"), at(name)).unwrap();
     }
@@ -388,14 +389,14 @@ fn masks_that_frames_name_are_missed_where_they_should_be() {
     let expected = Path::new("cut").join("out.png").display().to_string();
     assert!(missing.contains(&format!("1 of 1 masks missing, the first is {expected}")), "{missing}");
     assert!(!missing.contains("masks:"), "there is no such folder: {missing}");
-    // VHAP's name for them.
+    // The name that VHAP gives to masks.
     let file = root.join("transforms.json");
     let renamed = std::fs::read_to_string(&file).unwrap().replace("mask_path", "fg_mask_path");
     std::fs::write(&file, renamed).unwrap();
     assert_eq!(message(root, &LoadOptions { masks: true, ..full() }), missing);
 }
 
-/// One of two would be taken as it is, and be larger than the other.
+/// If only one of two images were replaced, the other would be used in its own, larger size.
 #[test]
 fn another_folder_takes_the_place_of_all_images_or_of_none() {
     let folder = tempfile::tempdir().unwrap();

@@ -269,7 +269,7 @@ mod tests {
         let command = EditArgs::augment_args(clap::Command::new("convert"));
         let given = ["convert", "--rotate", "-90,90,0", "--scale=2", "--translate", "-1,0,0.5", "--axes", "y-up:z-up"];
         let args = EditArgs::from_arg_matches(&command.get_matches_from(given)).unwrap();
-        // y-up (0, 1, 0) is z-up (0, 0, 1); −90° about x takes it to (0, 1, 0), where 90° about y leaves it.
+        // (0, 1, 0) in y-up is (0, 0, 1) in z-up; −90° about x takes it to (0, 1, 0), and 90° about y leaves it there.
         let moved = args.similarity().unwrap().point(DVec3::Y);
         assert!(moved.abs_diff_eq(DVec3::new(-1.0, 2.0, 0.5), 1e-12), "{moved}");
     }

@@ -1,4 +1,4 @@
-//! Which flags a command has, and what each of them comes to.
+//! Which flags a command has, and which options each of them sets.
 
 use std::collections::BTreeMap;
 
@@ -6,14 +6,14 @@ use clap::CommandFactory as _;
 
 use super::Cli;
 
-/// What a command is asked for: values by name, as `Debug` shows them.
+/// Options of a command: values by name, as printed by `Debug`.
 pub(super) type Options = BTreeMap<&'static str, String>;
 
-/// Flags, after ` beside ` those that they need, and the options that they change.
+/// Flags (after ` beside `, those that they require) and the options that they change.
 pub(super) type Row = (&'static str, &'static [(&'static str, &'static str)]);
 
-/// Asserts that the flags of every row change its options and no others, that every option is in a row, and that every flag of the command is in
-/// one or among `others`. `asked` takes flags.
+/// Asserts that the flags of every row change its options and no others, that every option is in a row, and that every
+/// flag of the command is in a row or in `others`. `asked` parses flags.
 pub(super) fn assert_flags(command: &str, rows: &[Row], others: &[&str], asked: impl Fn(&str) -> Options) {
     for &(flags, expected) in rows {
         let (flags, beside) = flags.split_once(" beside ").unwrap_or((flags, ""));
@@ -30,7 +30,7 @@ pub(super) fn assert_flags(command: &str, rows: &[Row], others: &[&str], asked: 
     let all = Cli::command();
     let found = command.split(' ').fold(&all, |of, name| of.find_subcommand(name).unwrap());
     let mut flags: Vec<&str> = found.get_arguments().filter_map(|flag| flag.get_long()).collect();
-    // What follows `--` alone has no name.
+    // `--` itself has no name.
     let of_rows = rows.iter().map(|(flags, _)| flags[2..].split(' ').next().unwrap()).filter(|name| !name.is_empty());
     let mut known: Vec<&str> = of_rows.chain(others.iter().copied()).collect();
     flags.sort_unstable();

@@ -268,7 +268,7 @@ mod tests {
         assert_eq!((saw(&own, &["0", "8"]), saw(&own, &["new"])), (None, None));
         let said = saw(&own, &["1", "8", "9"]).unwrap();
         assert!(said.starts_with("the scene was trained on 2 of the 3 views that are scored: "), "{said}");
-        // Older files do not say.
+        // Older files lack this record.
         assert_eq!(saw(&record(&[]), &["1"]), None);
     }
 

@@ -193,7 +193,7 @@ mod tests {
         }
     }
 
-    /// The words of a command and of all below it, as of `centaur cameras orbit`.
+    /// Words of a command and of all its subcommands, such as `centaur cameras orbit`.
     fn commands(command: &clap::Command, above: &[String]) -> Vec<Vec<String>> {
         let words = [above, &[command.get_name().to_owned()]].concat();
         let below = command.get_subcommands().flat_map(|command| commands(command, &words));
@@ -217,7 +217,7 @@ mod tests {
         }
     }
 
-    /// Examples that are wrapped cannot be pasted, and wrapped tables are hard to read.
+    /// Wrapped examples cannot be pasted, and wrapped tables are hard to read.
     #[test]
     fn what_follows_the_options_fits_the_terminal() {
         for command in Cli::command().get_subcommands() {

@@ -119,11 +119,12 @@ mod tests {
 
     use super::*;
 
-    /// As if all iterations before the stop had been done in no time, little would seem to be left of a run that goes on.
+    /// If all iterations before the stop counted as done in no time, the estimate for the resumed run would be too
+    /// short.
     #[test]
     fn what_is_left_of_a_resumed_run_takes_as_long_as_its_own_iterations() {
         let mut reporter = Reporter::new(&MessageArgs { quiet: true, json: false });
-        // At 10 iterations in 20 ms or more.
+        // 10 iterations take at least 20 ms.
         let pause = Duration::from_millis(20);
         for (phase, iterations, left) in [(Phase::Warmup, [10, 20], 1980), (Phase::Joint, [1010, 1020], 980)] {
             for iteration in iterations {

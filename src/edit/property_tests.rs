@@ -1,4 +1,4 @@
-//! What holds of any similarity and of any choice of splats.
+//! Properties of all similarities and of all selections of splats.
 
 use glam::{DMat3, DQuat, DVec3, Quat, Vec3};
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ fn splats(seed: u64, count: usize) -> Splats {
     random_scene(seed, count, 0, 3, 1, OrderMode::Stable).0.splats
 }
 
-/// What makes a similarity.
+/// Parameters of a similarity.
 #[derive(Clone, Copy, Debug)]
 struct Parts {
     scale: f64,
@@ -24,14 +24,14 @@ impl Parts {
         Similarity::new(self.scale, self.orthogonal, self.translation).unwrap()
     }
 
-    /// That of what leads back.
+    /// The inverse similarity.
     fn inverse(&self) -> Similarity {
         let (scale, orthogonal) = (self.scale.recip(), self.orthogonal.transpose());
         Similarity::new(scale, orthogonal, -scale * (orthogonal * self.translation)).unwrap()
     }
 }
 
-/// Any that turns, mirrors or does not, and leaves numbers in a range in which f32 tells them well enough.
+/// Any rotation, with or without reflection, and scales and translations in a range where f32 is precise enough.
 fn parts() -> impl Strategy<Value = Parts> {
     let turn = prop::array::uniform4(-1.0..1.0_f64).prop_map(DQuat::from_array);
     let turn = turn.prop_filter("a rotation", |q| q.length() > 0.1).prop_map(|q| DMat3::from_quat(q.normalize()));
@@ -47,13 +47,14 @@ fn covariance(splats: &Splats, i: usize) -> DMat3 {
     axes * DMat3::from_diagonal((2.0 * splats.log_scales()[i].as_dvec3()).exp()) * axes.transpose()
 }
 
-/// What a splat shows in a direction.
+/// Colour of a splat in a direction.
 fn color(splats: &Splats, i: usize, direction: DVec3) -> DVec3 {
     let terms = sh::basis(direction.to_array()).into_iter().zip(splats.sh_of(i));
     terms.map(|(basis, rgb)| basis * DVec3::from(rgb.map(f64::from))).sum()
 }
 
-/// Asserts that splats are those of before after p ↦ scale · orthogonal · p + translation, but for rounding to f32, once or twice.
+/// Asserts that `after` is `before` transformed by p ↦ scale · orthogonal · p + translation, up to rounding to f32 once
+/// or twice.
 fn assert_moved(before: &Splats, after: &Splats, moved: &Parts) {
     let Parts { scale, orthogonal, translation } = *moved;
     assert_eq!((after.len(), after.opacity_logits()), (before.len(), before.opacity_logits()));
@@ -72,7 +73,7 @@ fn assert_moved(before: &Splats, after: &Splats, moved: &Parts) {
     }
 }
 
-/// Asserts that these are splats of some others, each with all that belongs to it.
+/// Asserts that `taken` are the splats of `from` at `indices`, with all of their parameters.
 fn assert_taken(taken: &Splats, from: &Splats, indices: &[usize]) {
     let of = |splats: &Splats, i: usize| -> (Vec3, Quat, Vec3, f32, Vec<[f32; 3]>) {
         let (mean, rotation, log_scale) = (splats.means()[i], splats.rotations()[i], splats.log_scales()[i]);

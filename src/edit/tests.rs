@@ -1,4 +1,4 @@
-//! Moved scenes are compared by the pictures of the f64 reference, which knows nothing of moving.
+//! Transformed scenes are compared by renderings of the f64 reference, which does not know about transforms.
 
 use glam::{DMat3, DQuat, DVec3, EulerRot, Quat, Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
@@ -21,7 +21,7 @@ fn mirrored(image: &Image) -> Image {
     flipped
 }
 
-/// Largest difference over the pixels that `counts`.
+/// Largest difference over the pixels for which `counts` is true.
 fn difference(a: &Image, b: &Image, counts: impl Fn(usize) -> bool) -> f64 {
     let pixels = (0..a.rgb.len()).filter(|&i| counts(i));
     let of_pixel = |i: usize| {
@@ -31,7 +31,7 @@ fn difference(a: &Image, b: &Image, counts: impl Fn(usize) -> bool) -> f64 {
     largest(pixels.flat_map(of_pixel))
 }
 
-/// Picture of the moved scene by the moved camera, mirrored back if need be.
+/// Rendering of the transformed scene by the transformed camera, flipped back if it is mirrored.
 fn picture_after(similarity: &Similarity, scene: &HybridScene, camera: &Camera, mirrors: bool) -> Image {
     let moved = similarity.scene(scene.clone()).unwrap();
     let image = render(&moved, &similarity.camera(camera).unwrap());
@@ -64,8 +64,8 @@ fn a_moved_scene_looks_the_same_to_a_moved_camera() {
     assert!(most > 0.0, "nothing has been moved");
 }
 
-/// Random scenes have edges, cuts and orders that rounding may decide otherwise: those pixels are left out, by the
-/// reference's own account of them.
+/// In random scenes, rounding can change edges, cut-offs and orders: such pixels are left out, as reported by the
+/// reference itself.
 #[test]
 fn random_scenes_look_the_same_where_no_decision_is_close() {
     let close = Margin { alpha: 1e-4, order: 1e-5, edge: 1e-4, stop: 1e-3 };
@@ -80,7 +80,7 @@ fn random_scenes_look_the_same_where_no_decision_is_close() {
             let similarity = Similarity::new(1.7, orthogonal, DVec3::new(0.3, -2.0, 1.0)).unwrap();
             let after = picture_after(&similarity, &scene, &camera, mirrors);
             let largest = difference(&before, &after, clear);
-            // Splats here are as narrow as 0.01: positions rounded to 2e-7 are 2e-5 of that.
+            // Splats here are as narrow as 0.01: rounding positions to 2e-7 is 2e-5 of that.
             assert!(largest < 5e-5, "seed {seed}, mirrored {mirrors}: {largest}");
         }
     }
@@ -92,7 +92,7 @@ fn similarities_compose_and_exchanging_axes_is_exact() {
     assert_eq!(Similarity::IDENTITY.scene(scene.clone()).unwrap(), scene);
     assert_eq!(Similarity::IDENTITY.camera(&camera).unwrap(), camera);
 
-    // There and back by half a turn and a power of two: the very bits.
+    // A half turn and a power of two, and their inverse, are exact: bit-identical.
     let half_turn = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     let there = Similarity::new(2.0, half_turn, DVec3::ZERO).unwrap();
     let back = Similarity::new(0.5, half_turn, DVec3::ZERO).unwrap();
@@ -140,7 +140,7 @@ fn mirrored_meshes_keep_their_front() {
     }
 }
 
-/// Splats at these places, with these opacity logits; all else differs from splat to splat.
+/// Splats at these positions with these opacity logits; all other parameters differ from splat to splat.
 fn splats_at(means: &[Vec3], logits: &[f32], degree: u32) -> Splats {
     let n = means.len();
     let number = |i: usize| i as f32 * 0.1;
@@ -180,7 +180,7 @@ fn crops_keep_what_lies_inside_or_outside_borders_included() {
 fn any_choice_of_splats_keeps_what_belongs_together() {
     let (scene, _) = random_scene(3, 5, 0, 2, 1, OrderMode::Stable);
     let splats = scene.splats;
-    // Ascending, all in another order (two cycles and a fixed point), and with repeats.
+    // Ascending indices, permutations (with two cycles and a fixed point), and repeated indices.
     for indices in [&[0, 2, 4][..], &[0, 1, 2, 3, 4], &[3, 2, 1, 0, 4], &[1, 2, 0, 4, 3], &[4, 4, 0], &[2, 0, 1]] {
         let taken = gather(splats.clone(), indices);
         assert_eq!(taken.len(), indices.len());
@@ -213,7 +213,7 @@ fn transparent_splats_go_and_important_ones_stay() {
     assert_eq!(not_below_opacity(&splats, 0.5), [0, 2, 4]);
     assert_eq!(not_below_opacity(&splats, 0.0), [0, 1, 2, 3, 4]);
     assert!(not_below_opacity(&splats, 1.0).is_empty());
-    // Opacity ½, .12, .95, 0, ½ times areas e^0, e^.1, e^.2, e^.3, e^.4.
+    // Opacities ½, .12, .95, 0, ½ times areas e^0, e^.1, e^.2, e^.3, e^.4.
     for (count, kept) in
         [(0, &[][..]), (1, &[2]), (2, &[2, 4]), (3, &[0, 2, 4]), (4, &[0, 1, 2, 4]), (9, &[0, 1, 2, 3, 4])]
     {
@@ -271,12 +271,12 @@ fn scenes_join_at_the_highest_degree_and_by_the_rule_of_the_first_mesh() {
         meshes: vec![],
         composition: Composition::default(),
     };
-    // All state their rule, as scenes that were made here do.
+    // All state their composition rule, as scenes written by this program do.
     let joined_of = |scenes: Vec<HybridScene>| join(scenes.into_iter().map(|scene| (scene, true)).collect());
     let joined = joined_of(vec![plain.clone(), hybrid.clone(), other.clone()]).unwrap();
     assert_eq!((joined.splats.len(), joined.splats.sh_degree(), joined.meshes.len()), (10, 3, 3));
     assert_eq!(joined.composition, hybrid.composition);
-    // What is behind four surfaces of one is not lost for another's two.
+    // Of the layers, the largest number is kept, so that no scene loses surfaces.
     let most = Composition { layers: 4, ..other.composition };
     assert_eq!(
         (hybrid.composition.layers, joined_of(vec![other.clone(), hybrid.clone()]).unwrap().composition),
@@ -286,7 +286,7 @@ fn scenes_join_at_the_highest_degree_and_by_the_rule_of_the_first_mesh() {
     close.composition.near = 0.01;
     let from_there = Composition { near: 0.01, ..hybrid.composition };
     assert_eq!(joined_of(vec![plain.clone(), hybrid.clone(), close]).unwrap().composition, from_there);
-    // A mesh without splats has no pixel filter of its own.
+    // A mesh without splats does not define the pixel filter.
     let mut mip = plain.clone();
     mip.composition.pixel_filter = PixelFilter::MIP;
     let mesh_alone = HybridScene { splats: Splats::empty(0), ..hybrid.clone() };
@@ -314,13 +314,13 @@ fn what_states_a_rule_comes_before_what_states_none() {
     let unstated = HybridScene { composition: usual, ..with_mesh.clone() };
     let own = Composition { mode: OrderMode::Direct, lambda: 0.5, background: [1.0; 3], near: 3.0, ..usual };
     let stated = HybridScene { composition: own, ..with_mesh };
-    // A mesh of others, whose file says nothing, on either side.
+    // A foreign mesh, whose file states no rule, on either side.
     for scenes in
         [[(unstated.clone(), false), (stated.clone(), true)], [(stated.clone(), true), (unstated.clone(), false)]]
     {
         assert_eq!(join(scenes.to_vec()).unwrap().composition, own);
     }
-    // Splats alone that state one come before meshes that do not, and after those that do.
+    // Splat-only scenes that state a rule have priority over meshes that do not, but not over meshes that do.
     let splats_alone = of(Composition { background: [0.5; 3], near: 5.0, ..usual });
     for scenes in [
         [(unstated.clone(), false), (splats_alone.clone(), true)],
@@ -331,7 +331,7 @@ fn what_states_a_rule_comes_before_what_states_none() {
     for scenes in [[(stated.clone(), true), (splats_alone.clone(), true)], [(splats_alone, true), (stated, true)]] {
         assert_eq!(join(scenes.to_vec()).unwrap().composition, own);
     }
-    // Where none states one, it is that of the first mesh, and the nearest near plane.
+    // If no scene states a rule, it is that of the first mesh, with the nearest near plane.
     let close = of(Composition { near: 0.1, background: [1.0; 3], ..usual });
     let joined = join(vec![(close, false), (unstated, false)]).unwrap().composition;
     assert_eq!(joined, Composition { near: 0.1, ..usual });

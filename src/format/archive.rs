@@ -68,7 +68,7 @@ mod tests {
 
     use super::*;
 
-    /// Full after so many bytes; counts the calls after that.
+    /// A disk that is full after this many bytes; counts the calls after that.
     struct Disk {
         left: usize,
         at: u64,

@@ -189,7 +189,7 @@ mod tests {
         }
     }
 
-    /// Exports that share a map are told apart by its bytes.
+    /// The same map always encodes to the same bytes, by which exports recognise shared maps.
     #[test]
     fn a_map_is_one_file() {
         let (width, height) = (1300, 600);
@@ -204,7 +204,7 @@ mod tests {
         }
     }
 
-    /// Pixels twice as wide as high: half as many of them fit into the focal length across.
+    /// With pixels twice as wide as high, the focal length is half as many pixels across as down.
     #[test]
     fn aspect_is_width_over_height() {
         let k = Intrinsics { width: 50, height: 100, fx: 60.0, fy: 120.0, cx: 25.0, cy: 50.0 };

@@ -32,7 +32,7 @@ mod tests {
     fn all_files_of_a_scene_count() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("sog")).unwrap();
-        // Of no scene.
+        // Files that do not belong to a scene.
         std::fs::write(folder.path().join("sog/notes.txt"), [0; 99]).unwrap();
         std::fs::write(folder.path().join("notes.png"), [0; 99]).unwrap();
         let scene = random_scene(40, 2, 2, 5);

@@ -337,7 +337,7 @@ mod tests {
     fn uvs_that_tile_are_scaled() {
         let tiled = QUAD_OBJ.replace("vt 1 1", "vt 1 3");
         let mesh = obj::parse(tiled.as_bytes()).and_then(Soup::finish).unwrap();
-        // v = 3 is −2 downwards: of −2..1, 3 long, the top; u keeps its proportion.
+        // v = 3 becomes −2 downwards: the top of the range −2..1, which is 3 long; u is scaled in proportion.
         let expected = [Vec2::new(0.0, 1.0), Vec2::new(1.0 / 3.0, 1.0), Vec2::new(1.0 / 3.0, 0.0)];
         assert_eq!(mesh.corner_uvs.unwrap()[0], expected);
         assert_eq!(mesh.notes, ["its UVs leave 0..1 and are scaled into that range, by 1/3.0"]);
@@ -409,7 +409,7 @@ mod tests {
 
     #[test]
     fn what_obj_allows() {
-        // Relative indices, normals, a colour after the position, a broken line, faces before their vertices.
+        // Relative indices, normals, a colour after the position, a continued line, and faces before their vertices.
         let text =
             "f 1//1 2//1 3//1\r\nv 0 0 0 1 1 1\r\nvn 0 0 1\r\nv 1 0 \\\r\n0\r\nv 0 1 0\r\nf -3 -2 -1\r\nl 1 2\r\n";
         let mesh = obj::parse(text.as_bytes()).and_then(Soup::finish).unwrap();

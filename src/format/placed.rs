@@ -71,7 +71,7 @@ mod tests {
         let back = half_turned(turned).unwrap();
         assert_eq!((&back.meshes, back.splats.means()), (&scene.meshes, scene.splats.means()));
         assert_eq!((back.splats.sh(), back.splats.log_scales()), (scene.splats.sh(), scene.splats.log_scales()));
-        // The other quaternion of the same rotation.
+        // The quaternion has the other sign, which is the same rotation.
         assert!(back.splats.rotations().iter().zip(scene.splats.rotations()).all(|(a, b)| *a == -*b));
     }
 }

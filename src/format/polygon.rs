@@ -92,7 +92,7 @@ mod tests {
         corners.iter().map(|&[x, y]| Vec3::new(x, y, 0.0)).collect()
     }
 
-    /// Twice the area of each triangle, negative where it is turned over.
+    /// Twice the area of each triangle, negative if it is flipped.
     fn areas(corners: &[Vec3], normal: Vec3) -> Vec<f32> {
         let area = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).dot(normal);
         triangles(corners).into_iter().map(|t| area(t.map(|i| corners[i]))).collect()
@@ -129,7 +129,7 @@ mod tests {
     }
 
     proptest! {
-        /// In any plane, as far from the origin as scenes are.
+        /// In any plane, at a distance from the origin that is usual in scenes.
         #[test]
         fn what_is_seen_whole_from_within_is_covered_once(radii in prop::collection::vec(0.2f32..1.0, 4..40), tilt in 0f32..6.0) {
             let turn = std::f32::consts::TAU / radii.len() as f32;

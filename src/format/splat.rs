@@ -172,11 +172,11 @@ mod tests {
         assert_eq!(report.loss.sh_degree, Some([3, 0]));
         let e = report.loss.max_error;
         assert_eq!((e.mean, e.sh), (0.0, 0.0));
-        // exp and ln in f64, rounded to f32 between them: 6e-8 of the scale, and 5e-7 of a logarithm near 9.
+        // exp and ln in f64, with rounding to f32 between them: 6e-8 of the scale, and 5e-7 for a logarithm near 9.
         assert!(e.log_scale < 1e-6, "{e:?}");
         assert!(e.opacity <= 1.0 / 510.0 + 1e-6 && e.opacity > 0.0015, "{e:?}");
         assert!(e.rotation < 1.1 && e.rotation > 0.3, "{e:?}");
-        // Coefficients up to ±2 leave 0..1 by 0.064.
+        // Coefficients up to ±2 exceed 0..1 by 0.064.
         assert!((0.05..0.066).contains(&e.color), "{e:?}");
     }
 

@@ -1,4 +1,4 @@
-//! Random scenes for tests of this module.
+//! Random scenes for the tests of this module.
 
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
@@ -20,12 +20,12 @@ pub(super) fn random_splats(n: usize, degree: u32, seed: u64) -> Splats {
     Splats::new(means, rotations, log_scales, logits, degree, sh).unwrap()
 }
 
-/// A tetrahedron whose vertices are shared and whose UVs are not: every corner lies on a seam.
+/// A tetrahedron that shares vertices but not UVs: every corner lies on a seam.
 pub(super) fn random_mesh(degree: u32, seed: u64) -> Mesh {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut r = |low: f32, high: f32| rng.random_range(low..high);
     let mut positions: Vec<Vec3> = (0..4).map(|_| Vec3::new(r(-1., 1.), r(-1., 1.), r(-1., 1.))).collect();
-    // Two vertices in one place, and one of no triangle, must survive.
+    // Two coincident vertices and one unused vertex must survive.
     positions.push(positions[0]);
     positions.push(Vec3::splat(9.0));
     let triangles = vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [4, 3, 2]];
@@ -60,8 +60,8 @@ pub(super) fn camera() -> Camera {
     Camera::new(intrinsics, rotation, DVec3::new(0.3, -2.0, 5.0)).unwrap()
 }
 
-/// Splats at the limits of what [`Splats`] may hold and other programs write: transparent and opaque beyond 8 bits,
-/// thin and wide beyond every table, far away, saturated in colour, and a component of the rotation at exactly ±1.
+/// Splats at the limits of [`Splats`] and of other programs: transparent and opaque beyond 8 bits, thinner and wider
+/// than every table allows, far away, saturated in colour, and with a rotation component of exactly ±1.
 pub(super) fn saturated_splats() -> Splats {
     let means = vec![Vec3::ZERO, Vec3::splat(-1e6), Vec3::new(1e6, 0.0, -0.0), Vec3::X];
     let rotations = vec![
@@ -76,7 +76,7 @@ pub(super) fn saturated_splats() -> Splats {
     Splats::new(means, rotations, log_scales, logits, 3, sh).unwrap()
 }
 
-/// Asserts that both state the same, but for the last bits of rotations, which `Splats::new` normalises once more.
+/// Asserts that two losses are equal except for the last bits of rotations, which `Splats::new` normalises again.
 pub(super) fn assert_same_loss(measured: &Loss, found: &Loss) {
     let rotation = measured.max_error.rotation;
     assert!((rotation - found.max_error.rotation).abs() < 1e-3 * rotation + 1e-4, "{measured:?} {found:?}");
@@ -84,7 +84,7 @@ pub(super) fn assert_same_loss(measured: &Loss, found: &Loss) {
     assert_eq!(*measured, Loss { max_error, ..found.clone() });
 }
 
-/// A PNG of 1 bit per pixel, as programs write masks: a thousandth of a byte each.
+/// A black PNG of 1 bit per pixel, as programs write masks: a thousandth of a byte per pixel.
 pub(crate) fn black_png(width: u32, height: u32) -> Vec<u8> {
     let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
     let rows = vec![0; height as usize * (1 + width.div_ceil(8) as usize)];
@@ -96,10 +96,10 @@ pub(crate) fn black_png(width: u32, height: u32) -> Vec<u8> {
     [b"\x89PNG\r\n\x1a\n", &parts.concat()[..]].concat()
 }
 
-/// The same of one pixel, with a colour profile that unpacks to so many bytes.
+/// [`black_png`] of one pixel, with a colour profile that decompresses to this many bytes.
 pub(crate) fn profiled_png(bytes: usize) -> Vec<u8> {
     let mut png = black_png(1, 1);
-    // Behind the header.
+    // After the header.
     png.splice(33..33, png_chunk(b"iCCP", &[b"a\0\0", &deflated(&vec![0; bytes])[..]].concat()));
     png
 }

@@ -343,7 +343,7 @@ mod tests {
     #[test]
     fn hits_equal_brute_force() {
         let mut found = 0;
-        // The second scene is far from the origin: f32 positions there are 0.06 apart.
+        // The second scene is far from the origin, where f32 positions are 0.06 apart.
         for (seed, offset, away) in [(1, Vec3::ZERO, 1.0), (2, Vec3::new(5e5, -3e5, 10.0), 1.0), (3, Vec3::ZERO, 1e5)] {
             let soups = [random_soup(700, seed, offset), random_soup(300, seed + 10, offset)];
             let tree = bvh(&soups);
@@ -363,7 +363,7 @@ mod tests {
                     expected.iter().map(|h| (h.1, h.2)).collect::<Vec<_>>()
                 );
                 for (h, e) in hits.iter().zip(&expected) {
-                    // f64 on coordinates up to 1e5: 1e-16·1e5 times the conditioning of slivers.
+                    // f64 rounding at coordinates up to 1e5: 1e-16·1e5 times the condition number of slivers.
                     assert!((h.t - e.0).abs() < 1e-7 * away, "{} {}", h.t, e.0);
                     let corners = soups[h.mesh as usize].1[h.triangle as usize]
                         .map(|v| soups[h.mesh as usize].0[v as usize].as_dvec3());
@@ -414,7 +414,7 @@ mod tests {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(5);
         for _ in 0..300 {
             let p = DVec3::from_array(rng.random::<[f64; 3]>()) * 4.0 - 1.5;
-            // Dense sampling of each triangle bounds the distance from above.
+            // Dense samples of each triangle give an upper bound of the distance.
             let mut nearest = f64::INFINITY;
             for t in &soups[0].1 {
                 let corners = t.map(|v| soups[0].0[v as usize].as_dvec3());
@@ -433,7 +433,7 @@ mod tests {
         }
     }
 
-    /// The builder alone would take minutes for these.
+    /// Without sharing a box, building the hierarchy would take minutes.
     #[test]
     fn equal_triangles_share_a_box() {
         let (positions, one) = (vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z], [[0, 1, 2], [1, 2, 3]]);
@@ -447,12 +447,12 @@ mod tests {
         assert!(!tree.has_layers(3, Vec3::new(0.2, 0.2, -1.0), Vec3::Z, 0.0, f64::INFINITY));
     }
 
-    /// Their areas are beyond f32, by which the builder orders boxes: without an order it takes time quadratic in them.
+    /// Areas overflow f32, by which the builder orders boxes: without an order its time would be quadratic.
     #[test]
     fn extreme_scenes_have_the_hierarchy_of_ordinary_ones() {
         let (positions, triangles) = random_soup(3000, 6, Vec3::ZERO);
         let ordinary = bvh(&[(positions.clone(), triangles.clone())]);
-        // Powers of two, 1e25 and 1e-25: nothing is rounded otherwise.
+        // Scaling by powers of two, about 1e25 and 1e-25, does not change rounding.
         for scale in [2f32.powi(83), 2f32.powi(-83)] {
             let tree = bvh(&[(positions.iter().map(|p| *p * scale).collect(), triangles.clone())]);
             assert_eq!(tree.tree.primitive_indices, ordinary.tree.primitive_indices);

@@ -431,11 +431,11 @@ impl Grid {
 mod tests {
     use super::*;
 
-    /// Of 300 turns all face up, and each lies on all others.
+    /// All of the 300 turns face up, and each overlaps all others.
     #[test]
     fn a_long_spring_is_cut_in_a_few_passes() {
         const TURNS: f64 = 300.0;
-        // Five squares and a bit to a turn, so that no chart of whole ones has its axis in the middle.
+        // 5.3 squares per turn, so that no chart of whole turns has its axis in the middle.
         let (squares, texel) = ((5.3 * TURNS) as usize, 0.05);
         let at = |i: usize, radius: f64| {
             let turn = std::f64::consts::TAU * i as f64 / 5.3;
@@ -454,7 +454,7 @@ mod tests {
             let low = chart.corners.iter().flatten().copied().fold(DVec2::INFINITY, DVec2::min);
             assert!(not_overlapping(&chart.corners, low, texel / 2.0).iter().all(|&clear| clear));
         }
-        // Those of layers lie in the plane of all, others in their own.
+        // Charts of layers are in the common projection plane, other charts in their own planes.
         let is_in_own_plane = |chart: &&Chart| {
             let normals = chart.faces.iter().map(|&f| corners[f as usize]).map(|[a, b, c]| (b - a).cross(c - a));
             let plane = Extent::new(unit_or_x(normals.sum()));
@@ -462,7 +462,7 @@ mod tests {
             own.eq(chart.corners.iter().copied())
         };
         let passes = charts.iter().filter(is_in_own_plane).count();
-        // Five squares each.
+        // Five squares per chart.
         assert!((300..400).contains(&charts.len()) && passes <= MOST_PASSES as usize, "{passes} of {}", charts.len());
     }
 }

@@ -108,7 +108,7 @@ mod tests {
             assert_eq!(q == p, distance <= 3.0);
             assert!(BALL.expand(q).distance(p) < 1e-9 * distance * (1.0 + distance), "{p}");
         }
-        // In units of 3: 4 is drawn to 2 − 1/4.
+        // In units of the radius, 3: a distance of 4 contracts to 2 − 1/4.
         assert!(BALL.contract(BALL.center + DVec3::X * 12.0).distance(BALL.center + DVec3::X * 5.25) < 1e-12);
         for nowhere in [DVec3::X * 6.0, DVec3::Y * 7.0, DVec3::NAN] {
             assert!(!BALL.expand(BALL.center + nowhere).is_finite());

@@ -124,7 +124,7 @@ mod tests {
 
     use super::*;
 
-    /// Squares of side 1 side by side along x, at a height.
+    /// Unit squares in a row along x, at height `z`.
     fn squares(count: u32, z: f32) -> Surface {
         let positions = (0..=count).flat_map(|x| [0.0, 1.0].map(|y| Vec3::new(x as f32, y, z))).collect();
         let square = |x: u32| [[2 * x, 2 * x + 2, 2 * x + 3], [2 * x, 2 * x + 3, 2 * x + 1]];
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn what_is_missing_counts_where_it_is_seen() {
-        // One square of four: the mean distance of the others to it is 1.5 · 3/4.
+        // One square out of four: the mean distance from the others to it is 1.5 · 3/4.
         let (part, whole) = (squares(1, 0.0), squares(4, 0.0));
         let found = surface_distance(&part, &whole, 0.5, Ball::EVERYTHING, |_| true).unwrap();
         assert!(found.accuracy < 1e-9 && (found.completeness - 1.125).abs() < 1e-4, "{found:?}");
@@ -156,12 +156,12 @@ mod tests {
 
     #[test]
     fn only_what_is_in_the_ball_counts() {
-        // Of a surface that ends after one square of forty, the second is missing within two of the end.
+        // The surface ends after the first of forty squares; within the ball of radius 2 the second square is missing.
         let (part, whole) = (squares(1, 0.0), squares(40, 0.0));
         let ball = Ball { center: DVec3::new(0.0, 0.5, 0.0), radius: 2.0 };
         let found = surface_distance(&part, &whole, 0.25, ball, |_| true).unwrap();
         assert!(found.precision == 1.0 && found.counted == 1.0, "{found:?}");
-        // The ball's edge is an arc about x = 2: half of a chord of 1 at 2 is 0.02 of a square.
+        // The ball's boundary near x = 2 is an arc, which over a chord of 1 cuts off 0.02 of a square.
         assert!((found.recall - 1.25 / 1.98).abs() < 0.01 && (found.completeness - 0.24).abs() < 0.01, "{found:?}");
         let elsewhere = Ball { center: DVec3::new(20.0, 0.0, 0.0), ..ball };
         assert_eq!(surface_distance(&part, &whole, 0.25, elsewhere, |_| true), None, "nothing of the surface is there");

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use crate::scene::{Atlas, Camera, Intrinsics, Texture};
 
-    /// Unit squares across z at depth 2, below each other in one atlas, each at its x and depth with its own opacity.
+    /// Unit squares across z at depth 2, one below the other in one atlas, each with its x, depth and opacity.
     fn squares(squares: &[(f32, f32, f32)], side: u32) -> Mesh {
         let (mut positions, mut triangles, mut uvs) = (vec![], vec![], vec![]);
         let rows = side / squares.len() as u32;
@@ -113,12 +113,12 @@ mod tests {
         let alone = (-1.0, 2.0, 0.01);
         let before_one = (1.0, 2.0, 0.01);
         let opaque = (1.5, 3.0, 0.9);
-        // Its neighbour at the same depth is no reason to stay.
+        // A neighbour at the same depth is not behind it, so the square is dropped.
         let beside = (0.0, 2.0, 0.021);
         for side in [64, 4] {
             let mesh = squares(&[alone, before_one, opaque, beside], side);
             assert_eq!(faint_squares(&mesh, &[camera()], 0.1), [true, false, false, false], "{side}");
-            // Nearer than what is drawn, or out of sight, it hides nothing.
+            // In front of the near plane or out of view, a surface hides nothing.
             assert_eq!(faint_squares(&mesh, &[camera()], 2.5), [true, true, false, false]);
             assert_eq!(faint_squares(&mesh, &[], 0.1), [true, true, false, false]);
         }

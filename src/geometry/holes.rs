@@ -277,7 +277,7 @@ impl Hole {
 mod tests {
     use super::*;
 
-    /// A square of side n with unit cells, at the height that `z` says, without the cells in `missing`.
+    /// A square with n × n unit cells at height `z(x, y)`, without the cells for which `missing` is true.
     fn sheet(n: u32, z: impl Fn(f32, f32) -> f32, missing: impl Fn(u32, u32) -> bool) -> Surface {
         let at = |x: u32, y: u32| y * (n + 1) + x;
         let positions = (0..=n).flat_map(|y| (0..=n).map(move |x| (x as f32, y as f32)));
@@ -299,7 +299,7 @@ mod tests {
     fn a_hole_is_closed_and_the_outline_is_not() {
         let (closed, count) = without_holes(sheet(9, |_, _| 0.0, |x, y| (3..6).contains(&x) && (3..7).contains(&y)));
         assert_eq!(count, 1);
-        // All of one side, once: the signed area is that of the square.
+        // All triangles face the same side and cover the square once: the signed area equals that of the square.
         assert!((area(&closed) - 81.0 * DVec3::Z).length() < 1e-4, "{}", area(&closed));
         let unsigned: f64 = closed
             .triangles
@@ -308,25 +308,25 @@ mod tests {
             .map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length())
             .sum();
         assert!((unsigned - 81.0).abs() < 1e-4, "{unsigned}");
-        // Only the outline is left, and its 36 edges are the only ones without a neighbour.
+        // Only the outline is left: its 36 edges are the only ones without a neighbour.
         let left = boundaries(&closed);
         assert_eq!(left.iter().map(|edge| edge.vertices.len()).collect::<Vec<_>>(), [36]);
-        // About as large as those around.
+        // Triangles that fill holes are about as large as those around them.
         assert!(closed.triangles.len() > 162 && closed.triangles.len() < 200, "{}", closed.triangles.len());
         assert_eq!(without_holes(closed.clone()), (closed, 0));
     }
 
-    /// Slits may each span all there is, so that the vertices around all of them are holes × vertices.
+    /// If all holes are slits across the whole surface, the vertices around them number holes × vertices.
     #[test]
     fn the_largest_holes_stay_open_where_all_would_take_too_long() {
-        // A slit, and behind it in the order of vertices a hole.
+        // A slit, and a hole that comes later in the order of vertices.
         let missing = |x: u32, y: u32| (y == 3 && (1..11).contains(&x)) || (y == 7 && x == 6);
         let surface = sheet(12, |_, _| 0.0, missing);
         let closed = |looks: usize| closed_within(surface.clone(), looks);
         assert_eq!([0, 1, 10_000].map(|looks| closed(looks).1), [0, 1, 2]);
         let left = boundaries(&closed(1).0).iter().map(|edge| edge.vertices.len()).collect::<Vec<_>>();
         assert_eq!(left, [48, 22]);
-        // That is few for these.
+        // The default limit is far above the work for these holes.
         assert_eq!(without_holes(surface.clone()), closed(10_000));
     }
 
@@ -335,7 +335,8 @@ mod tests {
         let bent = |x: f32, y: f32| 0.02 * ((x - 6.0).powi(2) + (y - 6.0).powi(2));
         let (closed, count) = without_holes(sheet(12, bent, |x, y| (4..8).contains(&x) && (4..8).contains(&y)));
         assert_eq!(count, 1);
-        // The edge is at heights of 0.08 in the middles of its sides to 0.16 at its corners: so is what is within, not at 0.
+        // The boundary has heights from 0.08 in the middle of its sides to 0.16 at its corners: the filling must be in
+        // between, not at 0.
         let heights = closed.positions[169..].iter().map(|p| p.z);
         let (low, high) = heights.fold((f32::MAX, f32::MIN), |(low, high), z| (low.min(z), high.max(z)));
         assert!(closed.positions.len() > 169 && low > 0.08 && high < 0.16 && high - low > 1e-3, "{low} {high}");
@@ -360,7 +361,7 @@ mod tests {
             .iter_mut()
             .for_each(|p| *p = Vec3::new(0.5, 0.5, 1.0) + 0.9 * (*p - Vec3::new(0.5, 0.5, 1.0)));
         assert_eq!(kept(tapered), 0, "ends of a tube that narrows");
-        // A closed thing in the hole has no boundary.
+        // A closed surface inside the hole has no boundary.
         let mut with_blob = sheet(9, |_, _| 0.0, hole);
         let first = with_blob.positions.len() as u32;
         let corners = [[4.5, 4.5, 0.3], [4.2, 4.2, -0.3], [4.8, 4.2, -0.3], [4.5, 4.8, -0.3]].map(Vec3::from);

@@ -55,7 +55,7 @@ mod tests {
         let fast = mean_squared_distance_to_3_neighbors(&points);
         for (i, &d) in fast.iter().enumerate() {
             let exact = brute_force(&points, i);
-            // Three roundings of f32.
+            // Three roundings in f32.
             assert!((d - exact).abs() <= 1e-6 * exact, "{i}: {d} against {exact}");
         }
     }

@@ -103,7 +103,8 @@ mod tests {
     use crate::geometry::tests::{orbit, sphere};
     use crate::scene::{Atlas, Camera, Intrinsics, SplatArrays, Texture};
 
-    /// A square of side 2 across z, at this depth, with this opacity in its quarters by (u, v): (0, 0), (1, 0), (0, 1), (1, 1).
+    /// A square of side 2 across z at depth `z`, with these opacities in its quarters (u, v) = (0, 0), (1, 0), (0, 1),
+    /// (1, 1).
     fn quarters(z: f32, opacities: [f32; 4]) -> Mesh {
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         let positions = corners.map(|[x, y]: [f32; 2]| Vec3::new(x, y, z)).to_vec();
@@ -122,7 +123,7 @@ mod tests {
         quarters(z, [opacity; 4])
     }
 
-    /// At (x, y, z), with these standard deviations along x and z.
+    /// Splats at (x, y, z) with these standard deviations along x and z.
     fn splats(at: &[([f32; 3], f32, f32)]) -> Splats {
         let arrays = SplatArrays {
             sh_degree: 0,
@@ -135,7 +136,7 @@ mod tests {
         arrays.check().unwrap()
     }
 
-    /// Looks along z, from here.
+    /// A camera that looks along z from this z.
     fn camera(z: f64) -> Camera {
         let intrinsics = Intrinsics { width: 100, height: 100, fx: 50.0, fy: 50.0, cx: 50.0, cy: 50.0 };
         Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, -z)).unwrap()
@@ -150,20 +151,20 @@ mod tests {
     fn what_is_all_behind_what_is_opaque_is_occluded() {
         let splats = splats(&[
             ([0.0, 0.0, 3.0], 0.1, 0.1),  // behind, on the line through an edge
-            ([0.0, 0.0, 1.0], 0.1, 0.1),  // before
+            ([0.0, 0.0, 1.0], 0.1, 0.1),  // in front
             ([0.0, 0.0, 2.3], 0.1, 0.1),  // behind
-            ([0.0, 0.0, 2.3], 0.1, 0.2),  // stands out of it
-            ([0.0, 0.0, 3.0], 1.0, 0.1),  // beyond its rim
-            ([2.0, 0.0, 3.0], 0.1, 0.1),  // beside
+            ([0.0, 0.0, 2.3], 0.1, 0.2),  // protrudes from it
+            ([0.0, 0.0, 3.0], 1.0, 0.1),  // extends beyond its edge
+            ([2.0, 0.0, 3.0], 0.1, 0.1),  // beside it
             ([0.0, 0.0, 2.0], 0.1, 1e-9), // on it
-            ([9.0, 0.0, 3.0], 0.1, 0.1),  // out of the picture
-            ([4.0, 0.0, 3.0], 2.0, 0.1),  // of which one end is hidden, the rest is out of the picture
+            ([9.0, 0.0, 3.0], 0.1, 0.1),  // outside the picture
+            ([4.0, 0.0, 3.0], 2.0, 0.1),  // one end is hidden, the rest is outside the picture
         ]);
         let opaque = [square(2.0, 0.99)];
         let expected = [true, false, true, false, false, false, false, false, true];
         assert_eq!(occluded(&splats, &opaque, &[camera(0.0)], 0.1, 1), expected);
         assert_eq!(occluded(&splats, &opaque, &[camera(0.0), camera(0.1)], 0.1, 1), expected);
-        // One that is past the square, or draws only what is farther than it, sees them.
+        // A camera beyond the square, or with a near plane beyond it, sees the splats.
         assert_eq!(occluded(&splats, &opaque, &[camera(0.0), camera(2.1)], 0.1, 1)[..2], [false, false]);
         assert_eq!(occluded(&splats, &opaque, &[camera(0.0)], 2.1, 1), [false; 9]);
         assert_eq!(occluded(&splats, &opaque, &[], 0.1, 1), [false; 9]);
@@ -189,7 +190,7 @@ mod tests {
         let (upper, lower) = (quarters(2.0, [0.99, 0.1, 0.99, 0.1]), quarters(2.2, [0.1, 0.1, 0.99, 0.99]));
         assert_eq!(found(&[quarters(2.0, [0.99, 0.1, 0.1, 0.1])]), [true, false, false, false, false]);
         assert_eq!(found(&[quarters(2.0, [0.1, 0.99, 0.1, 0.1])]), [false, true, false, false, false]);
-        // Where texels of both kinds are mixed, the most transparent counts.
+        // Where opaque and transparent texels are mixed, the most transparent one counts.
         assert_eq!(found(&[quarters(2.0, [0.1, 0.1, 0.99, 0.99])]), [false, false, true, true, true]);
         assert_eq!(found(std::slice::from_ref(&upper)), [true, false, true, false, false]);
         for meshes in [[upper.clone(), lower.clone()], [lower, upper]] {
@@ -206,7 +207,7 @@ mod tests {
             let p = Vec3::from_array([0; 3].map(|_| rng.random_range(-1.0..1.0_f32))).normalize_or(Vec3::X);
             p * rng.random_range(least..most)
         };
-        // Nine in ten outside a sphere, the others in it.
+        // Nine in ten splats are outside a sphere, the others inside.
         let means: Vec<Vec3> = (0..n).map(|i| if i % 10 == 0 { near(0.1, 0.8) } else { near(1.01, 1.2) }).collect();
         let arrays = SplatArrays {
             sh_degree: 0,

@@ -376,7 +376,7 @@ mod tests {
         pack(charts, area, side, widest).unwrap()
     }
 
-    /// Texels whose centres are less than `reach` from a point of a chart, per texel those of one chart only.
+    /// Asserts that the texels whose centres are less than `reach` from a point of a chart belong to one chart only.
     fn assert_apart(charts: &[Chart], packing: &Packing, side: usize, reach: f64) {
         let mut owner = vec![None; side * side];
         for (i, (chart, place)) in charts.iter().zip(&packing.places).enumerate() {
@@ -392,11 +392,12 @@ mod tests {
         }
     }
 
-    /// What is left of a chart that was split may have gaps as wide as others are.
+    /// The remainder of a chart that was split may have gaps as wide as other charts.
     #[test]
     fn charts_in_parts_do_not_lie_on_others() {
         for (gap, side) in [(6.0, 256), (30.0, 256), (30.0, 1100)] {
-            // The parts of a chart beside, and then also above each other; its first columns may be empty.
+            // The parts of a chart are beside each other, and then also above each other; its first columns may be
+            // empty.
             let in_parts = |i: usize| {
                 let shift = if i.is_multiple_of(3) { 4.0 } else { 0.0 };
                 chart(vec![triangle(shift, 0.0, 3.0), triangle(shift + gap, 0.3 * gap, 4.0)])
@@ -412,7 +413,7 @@ mod tests {
         }
     }
 
-    /// A frame of four strips leaves most of the atlas open.
+    /// A frame of four strips leaves most of the atlas free.
     #[test]
     fn charts_lie_in_what_others_leave_open() {
         let rectangle = |x: f64, y: f64, w: f64, h: f64| {
@@ -425,7 +426,7 @@ mod tests {
         let charts: Vec<Chart> = std::iter::once(frame).chain(small).collect();
         let packing = packed(&charts, 128, 0);
         assert_apart(&charts, &packing, 128, 0.998);
-        // Within the frame, which then fills the atlas: its ten units are nearly all of 128 texels.
+        // The others fit within the frame, which then fills the atlas: its ten units are nearly all of 128 texels.
         assert!(packing.scale > 12.0, "{}", packing.scale);
     }
 

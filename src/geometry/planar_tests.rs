@@ -1,4 +1,4 @@
-//! Planes of noisy surfaces, made by hand and fused from depth maps with noise.
+//! Planes in noisy surfaces, made by hand or fused from noisy depth maps.
 
 use std::collections::HashSet;
 
@@ -11,7 +11,7 @@ use crate::geometry::surface::simplify;
 use crate::geometry::tests::{ANY, depth_map, edge_counts, orbit, unit_sphere};
 use crate::geometry::{Fusion, FusionOptions, SurfaceOptions, surface_from_fusion};
 
-/// The surface of a cube of `n`³ cells of side 1, every vertex moved by up to `noise` along each axis.
+/// The surface of a cube of `n`³ unit cells, every vertex moved by up to `noise` along each axis.
 fn cube(n: u32, noise: f32) -> Surface {
     let mut rng = Pcg64::seed_from_u64(3);
     let mut index = HashMap::new();
@@ -35,7 +35,8 @@ fn cube(n: u32, noise: f32) -> Surface {
     surface
 }
 
-/// Vertices − edges + triangles of a surface without unused vertices: 2 for what is closed like a sphere.
+/// Euler characteristic (vertices − edges + triangles) of a surface without unused vertices: 2 for a closed surface of
+/// genus 0.
 fn euler(surface: &Surface) -> i64 {
     let sides = |t: &[u32; 3]| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])].map(|(a, b)| (a.min(b), a.max(b)));
     let edges: HashSet<(u32, u32)> = surface.triangles.iter().flat_map(sides).collect();
@@ -43,7 +44,7 @@ fn euler(surface: &Surface) -> i64 {
     used.len() as i64 - edges.len() as i64 + surface.triangles.len() as i64
 }
 
-/// Distance of vertices from the surface of a box around the origin with this half side.
+/// Distance of vertices from the surface of a box around the origin with half side `half`.
 fn off_box(surface: &Surface, half: f32) -> Vec<f32> {
     let off = |p: &Vec3| {
         let q = p.abs() - half;
@@ -56,7 +57,7 @@ fn mean(values: &[f32]) -> f32 {
     values.iter().sum::<f32>() / values.len() as f32
 }
 
-/// Gravel: all bumps of it refit to the plane between them, which is too rough to be one.
+/// Gravel: all of its bumps refit to the mean plane, which is too rough to count as a plane.
 #[test]
 fn what_is_rough_is_searched_in_time_linear_in_its_vertices() {
     let visits = |side: u32| {
@@ -86,7 +87,7 @@ fn a_noisy_cube_gets_six_flat_sides() {
     assert_eq!((euler(&noisy), euler(&flat)), (2, 2));
     assert_eq!(edge_counts(&flat)[1..], [0, 0]);
     assert_eq!(keep.len(), flat.positions.len());
-    // All in one of six directions, outwards, none much larger than others.
+    // All triangles face one of six directions, outwards, and none is much larger than others.
     let (mut volume, mut tilted, mut largest) = (0.0, 0, 0.0_f32);
     for t in &flat.triangles {
         let [a, b, c] = t.map(|v| flat.positions[v as usize]);
@@ -97,15 +98,15 @@ fn a_noisy_cube_gets_six_flat_sides() {
     }
     assert!((volume / 64_000.0 - 1.0).abs() < 0.002, "{volume}");
     assert!(tilted * 100 < flat.triangles.len(), "{tilted} of {}", flat.triangles.len());
-    // Samples are three edges of 1.1 apart; with none a side would be two triangles of 800.
+    // Samples are spaced by three edges of length 1.1; without samples a side would be two triangles of area 800.
     assert!(largest < 40.0, "{largest}");
-    // Where planes meet they do so in their common line, and in a corner of the cube.
+    // Planes meet in their common line, and at the corners of the cube.
     let corners = (0..8).map(|i| Vec3::from([1, 2, 4].map(|bit| if i & bit == 0 { 0.0 } else { 40.0 })));
     for corner in corners {
         let nearest = flat.positions.iter().map(|p| p.distance(corner)).fold(f32::MAX, f32::min);
         assert!(nearest < 0.1, "{corner} {nearest}");
     }
-    // Of a simplification only what is not marked is taken.
+    // Simplification removes only vertices that are not marked.
     let simple = simplify(&flat, &keep, 1);
     let left: HashSet<[u32; 3]> = simple.positions.iter().map(|p| p.to_array().map(f32::to_bits)).collect();
     let marked = flat.positions.iter().zip(&keep).filter(|p| *p.1).map(|p| p.0.to_array().map(f32::to_bits));
@@ -118,7 +119,7 @@ fn what_is_not_flat_or_too_small_stays_as_it_was() {
     let (same, keep, stats) = flatten(noisy.clone(), 1.0, None, 100);
     assert_eq!((same, stats), (noisy, PlanarStats::default()));
     assert!(!keep.contains(&true));
-    // A dome on a sheet with a hole: only the sheet is flat, and open edges stay open.
+    // A dome on a sheet with a hole: only the sheet is flat, and boundary edges stay.
     let mut rng = Pcg64::seed_from_u64(4);
     let n = 80_u32;
     let height = |x: f32, y: f32| (144.0 - (x - 25.0).powi(2) - (y - 25.0).powi(2)).max(0.0).sqrt();
@@ -149,7 +150,7 @@ fn what_is_not_flat_or_too_small_stays_as_it_was() {
 
 const VOXEL: f64 = 2.8 / 96.0;
 
-/// Depths with noise of up to `noise` voxels, the same for some 36 pixels, from all around.
+/// Fusion of depth maps from all around, with noise of up to `noise` voxels that is constant over about 36 pixels.
 fn fused(hit: impl Fn(DVec3, DVec3) -> Option<f64>, noise: f64) -> Fusion {
     let mut rng = Pcg64::seed_from_u64(5);
     let volume = FusionOptions {
@@ -193,7 +194,7 @@ fn a_fused_box_is_flat_and_has_edges() {
     let voxel = VOXEL as f32;
     let (flat, rough) = (mean(&off_box(&with, HALF)) / voxel, mean(&off_box(&without, HALF)) / voxel);
     assert!(rough > 0.15 && flat < 0.6 * rough, "{rough} voxels became {flat}");
-    // How far the twelve edges are from the surface: rounded by fusion and smoothing, sharp where planes meet.
+    // Distance of the cube's edges from the surface: rounded by fusion and smoothing, sharp where planes meet.
     let along = (0..40).map(|i| 0.9 * HALF * (i as f32 / 19.5 - 1.0));
     let edges: Vec<Vec3> = along.flat_map(|a| [(a, HALF), (-a, -HALF)].map(|(a, h)| Vec3::new(a, h, HALF))).collect();
     let to = |surface: &Surface| {
@@ -203,7 +204,7 @@ fn a_fused_box_is_flat_and_has_edges() {
     };
     let (sharp, round) = (to(&with), to(&without));
     assert!(round > 0.2 && sharp < 0.3 * round, "{round} voxels became {sharp}");
-    // As closed as before: what the noise tore stays torn.
+    // The topology is unchanged: tears caused by noise remain.
     let (before, _) = surface(&fusion, false, usize::MAX);
     let (after, ..) = flatten(before.clone(), VOXEL, None, 6000);
     assert_eq!(
@@ -221,13 +222,13 @@ fn a_fused_sphere_has_no_plane() {
 
 #[test]
 fn what_is_contracted_is_flat_in_the_world() {
-    // Of a floor below the centre, 150 by 150 voxels in contracted space, the outer parts bent up towards the horizon.
+    // A floor below the centre, 150 × 150 voxels in contracted space, whose outer parts bend up towards the horizon.
     let ball = Contraction { center: DVec3::ZERO, radius: 50.0 };
     let mut rng = Pcg64::seed_from_u64(6);
     let n = 150_u32;
     let mut floor = Surface::default();
     for (x, y) in (0..=n).flat_map(|y| (0..=n).map(move |x| (f64::from(x) - 75.0, f64::from(y) - 75.0))) {
-        // Where the ray through this place of a horizontal plane meets the floor.
+        // Intersection of the floor with the ray through this point of a horizontal plane.
         let flat = DVec3::new(x, y, 0.0).clamp_length_max(96.0);
         let far = ball.expand(flat).with_z(-20.0);
         floor.positions.push((ball.contract(far) + 0.3 * rng.random_range(-1.0..1.0) * DVec3::Z).as_vec3());
@@ -236,7 +237,7 @@ fn what_is_contracted_is_flat_in_the_world() {
         let a = y * (n + 1) + x;
         floor.triangles.extend([[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]);
     }
-    // Without the corners, which all came to lie on one circle.
+    // The corners are left out, since they were all clamped onto one circle.
     let is_in = |v: u32| (f64::from(v % (n + 1)) - 75.0).hypot(f64::from(v / (n + 1)) - 75.0) < 95.0;
     floor.triangles.retain(|t| t.iter().all(|&v| is_in(v)));
     let height = |s: &Surface| {
@@ -261,7 +262,7 @@ fn anything_is_taken() {
     broken.positions[7] = Vec3::NAN;
     broken.positions[8] = Vec3::MAX;
     broken.triangles[9] = [0, 1, u32::MAX];
-    // The last is large enough for planes, the others are not.
+    // Only the last surface is large enough for planes.
     assert!(flatten(broken.clone(), 1.0, None, 1).2.planes > 0);
     for surface in [Surface::default(), few, broken] {
         for voxel in [1.0, 1e-3, 1e-30, 1e30, 0.0, -1.0, f64::NAN, f64::INFINITY] {
@@ -274,7 +275,7 @@ fn anything_is_taken() {
     }
 }
 
-/// Two planes 1.5° apart have no line in common that a vertex could be set onto; each has one with the floor.
+/// Two planes 1.5° apart have no usable common line to which a vertex could be moved; each has one with the floor.
 #[test]
 fn a_vertex_of_two_planes_that_are_nearly_one_is_still_set_onto_the_third() {
     let tilt = 1.5_f64.to_radians();

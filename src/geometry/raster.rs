@@ -114,7 +114,7 @@ mod tests {
 
     use super::*;
 
-    /// Rectangles in two triangles whose common edge passes through centres.
+    /// Rectangles of two triangles whose common edge passes through pixel centres.
     #[test]
     fn centres_on_a_common_edge_are_in_one_triangle_at_least() {
         for ([width, height], x, y) in
@@ -133,14 +133,14 @@ mod tests {
         }
     }
 
-    /// However long, a sliver asks for texels along it only.
+    /// A sliver covers only texels along itself, however long it is.
     #[test]
     fn pixels_around_a_triangle_are_those_in_its_box_that_are_near() {
         let mut random = Pcg64::seed_from_u64(8);
         for i in 0..200 {
             let mut point = || DVec2::new(random.random_range(-9.0..40.0), random.random_range(-9.0..40.0));
             let a = point();
-            // Every other one is thin.
+            // Every other triangle is thin.
             let corners = if i % 2 == 0 { [a, point(), point()] } else { [a, point(), a + 0.02 * point()] };
             for reach in [0.0, 0.5] {
                 let around: Vec<_> = pixels_around(&corners, reach, [32; 2], 3..30).collect();
@@ -174,7 +174,7 @@ mod tests {
             );
             found
         };
-        // Between two rows of centres, from column 2 to 12, and a line of it.
+        // A thin triangle between two rows of centres, from column 2 to 12, and its degenerate form, a line.
         for last in [3.2, 3.0] {
             let found = touched([[2.0, 3.0], [12.0, 3.0], [12.0, last]], 0..16);
             assert!((2..12).all(|x| found.contains(&(x, 2)) && found.contains(&(x, 3))), "{found:?}");

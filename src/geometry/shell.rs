@@ -159,7 +159,7 @@ mod tests {
 
     const NEAR: f64 = 0.2;
 
-    /// Cameras side by side at x = −1, 0, 1, that look along z with a field of view of 53° × 37°.
+    /// Cameras at x = −1, 0, 1 that look along z with a field of view of 53° × 37°.
     fn cameras() -> Vec<Camera> {
         let intrinsics = Intrinsics { width: 150, height: 100, fx: 150.0, fy: 150.0, cx: 75.0, cy: 50.0 };
         let at = |x: f64| Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(-x, 0.0, 0.0)).unwrap();
@@ -170,7 +170,7 @@ mod tests {
         Viewers::unmasked(cameras, near, 1)
     }
 
-    /// A square of side 2·`half` across z at depth 3, around x.
+    /// A square of side 2·`half` across z at depth 3, centred at `x`.
     fn wall(x: f32, half: f32) -> Surface {
         let corners = [[-half, -half], [half, -half], [half, half], [-half, half]];
         let positions = corners.map(|[a, b]| Vec3::new(x + a, b, 3.0)).to_vec();
@@ -198,7 +198,7 @@ mod tests {
     fn it_is_beyond_points_and_parallax() {
         let shell = Shell::around(&cameras(), &[]).unwrap();
         assert_eq!((shell.center, shell.radius), (DVec3::ZERO, 150.0));
-        // A pixel from the middle to the outermost camera, at the middle of the picture.
+        // The parallax between the middle and an outer camera is one pixel, at the middle of the picture.
         let far = DVec3::new(0.0, 0.0, shell.radius);
         let [left, middle, _] = [0, 1, 2].map(|i| cameras()[i].project(cameras()[i].to_camera(far)));
         assert!((left.distance(middle) - 1.0).abs() < 1e-9);
@@ -214,7 +214,7 @@ mod tests {
         let shell = Shell::around(&cameras(), &[]).unwrap();
         let open = shell.seen_past(&Surface::default(), &viewers(&cameras(), NEAR));
         let bvh = MeshBvh::new([(open.positions.as_slice(), open.triangles.as_slice())]);
-        // All of the picture of the middle camera, and hardly anything outside.
+        // The shell covers the whole picture of the middle camera, and little outside.
         for (x, y) in (0..15).flat_map(|x| (0..10).map(move |y| (x, y))) {
             let ray = cameras()[1].ray(DVec2::new(10.0 * f64::from(x) + 5.0, 10.0 * f64::from(y) + 5.0));
             assert!(bvh.any_hit(DVec3::ZERO, ray, 0.0, 1e4), "{x} {y}");
@@ -226,11 +226,11 @@ mod tests {
             let [a, b, c] = t.map(|v| open.positions[v as usize].as_dvec3());
             assert!((b - a).cross(c - a).dot(a) < 0.0, "seen from within");
         }
-        // Behind a wall there is nothing to see; beside one there is.
+        // A wall hides the shell behind it, but not beside it.
         assert_eq!(shell.seen_past(&wall(0.0, 9.0), &viewers(&cameras(), NEAR)), Surface::default());
         let beside = shell.seen_past(&wall(9.0, 9.0), &viewers(&cameras(), NEAR));
         assert!(beside.triangles.len() > 10 && beside.triangles.len() < open.triangles.len() * 3 / 4);
-        // What is too near to be drawn hides nothing.
+        // A wall in front of the near plane hides nothing.
         assert_eq!(shell.seen_past(&wall(0.0, 9.0), &viewers(&cameras(), 3.1)), open);
         // One view is too few.
         assert_eq!(shell.seen_past(&Surface::default(), &viewers(&cameras()[..1], NEAR)), Surface::default());
@@ -244,7 +244,7 @@ mod tests {
             let Surface { positions, triangles } = wall(0.0, 9.0);
             Surface { positions: positions.into_iter().map(|p| p * scale).collect(), triangles }
         };
-        // Corners at 13.1 × scale; the radius is 150.
+        // Corners are at a distance of 13.1 × scale; the radius of the shell is 150.
         assert_eq!(shell.around_surface(at(2.9), &viewers(&cameras(), NEAR)), all);
         assert_eq!(shell.around_surface(at(2.8), &viewers(&cameras(), NEAR)), at(2.8));
         let beside = shell.around_surface(wall(9.0, 9.0), &viewers(&cameras(), NEAR));

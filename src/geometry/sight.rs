@@ -95,13 +95,13 @@ mod tests {
     use super::*;
     use crate::scene::Intrinsics;
 
-    /// Looks along z from (1, 0, 0).
+    /// A camera at (1, 0, 0) that looks along z.
     fn camera() -> Camera {
         let intrinsics = Intrinsics { width: 100, height: 100, fx: 50.0, fy: 50.0, cx: 50.0, cy: 50.0 };
         Camera::new(intrinsics, DMat3::IDENTITY, -DVec3::X).unwrap()
     }
 
-    /// Triangles across z at these depths, around the axis of that camera.
+    /// Triangles across z at these depths, around the axis of [`camera`].
     fn walls<const N: usize>(depths: [f32; N]) -> MeshBvh {
         let corners = |z: f32| [[-8.0, -9.0, z], [10.0, -9.0, z], [1.0, 9.0, z]].map(Vec3::from);
         let positions = depths.map(corners).concat();
@@ -115,7 +115,7 @@ mod tests {
         let is_left = |view: usize, at: DVec2| view == 0 || at.x < 50.0;
         let masked = Viewers { shows: &is_left, ..Viewers::unmasked(&cameras, 2.0, 1) };
         let sees = |view: usize, x: f64, z: f64| masked.sight(view, DVec3::new(x, 0.0, z)).is_some();
-        // In the picture, beside it, before the near plane, at it, behind the camera.
+        // In the picture, outside it, in front of the near plane, on the near plane, behind the camera.
         let points = [(1.5, 3.0), (9.0, 3.0), (1.5, 1.9), (1.5, 2.0), (1.5, -3.0)];
         assert_eq!(points.map(|(x, z)| sees(0, x, z)), [true, false, false, false, false]);
         assert_eq!([sees(1, 1.5, 3.0), sees(1, 0.5, 3.0)], [false, true]);
@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(found(0.5, 3, 1e-6), (false, vec![1.0, 2.0, 3.0]));
         assert_eq!(found(0.5, 4, 1e-6), (true, vec![1.0, 2.0, 3.0]));
         assert_eq!(found(1.5, 3, 1e-6), (true, vec![2.0, 3.0]));
-        // What is in the last three tenths of the way is where the point is.
+        // Hits in the last three tenths of the way count as the point itself.
         assert_eq!(found(1.5, 2, 0.3), (true, vec![2.0]));
         assert_eq!(found(3.5, 1, 1e-6), (true, vec![]));
     }
@@ -146,7 +146,7 @@ mod tests {
         let sight = |near: f64| Sight::to(&camera(), DVec3::new(1.0, 0.5, 2.0), near);
         assert!(sight(0.1).has_hit(&walls, 0.0, 1.0) && sight(0.1).has_hit(&walls, 1.0, 2.0));
         assert!(!sight(0.1).has_hit(&walls, 0.6, 1.4) && !sight(0.1).has_hit(&walls, 1.6, f64::INFINITY));
-        // Before the near plane nothing is drawn, wherever the point is.
+        // Surfaces in front of the near plane are not hit, wherever the point is.
         assert!(!sight(1.5).has_hit(&walls, 0.0, 1.0) && sight(1.5).has_hit(&walls, 0.0, 2.0));
         assert!(!sight(3.5).has_hit(&walls, 0.0, f64::INFINITY));
     }

@@ -171,7 +171,7 @@ mod tests {
         };
         let before = rms(&surface);
         smooth(&mut surface);
-        // Of white noise the pass band of a tenth keeps about that share of the power.
+        // A pass band of one tenth keeps about a tenth of the power of white noise.
         assert!(rms(&surface) < 0.4 * before, "{before} became {}", rms(&surface));
         let amplitude = surface.positions.iter().map(|p| p.z).fold(0.0, f32::max);
         assert!((amplitude - 3.0).abs() < 0.25, "{amplitude}");
@@ -190,7 +190,7 @@ mod tests {
     #[test]
     fn rough_parts_go_and_edges_stay() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(2);
-        // Flat, with a right-angled ridge along x = 30; crumbs beyond x = 60.
+        // Flat, with a right-angled ridge along x = 30, and random heights beyond x = 60.
         let surface = sheet(90, |x, _| if x < 60 { -(x as f32 - 30.0).abs() } else { rng.random_range(-9.0..9.0) });
         let kept = without_rough(surface.clone());
         let beyond = |s: &Surface, from: f32| s.positions.iter().filter(|p| p.x > from).count();

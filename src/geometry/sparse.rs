@@ -399,7 +399,7 @@ mod tests {
         (0..14).map(|i| ring(i, 14, 0.8)).chain((0..10).map(|i| ring(i, 10, 2.4))).collect()
     }
 
-    /// Points on both, with noise, and some of them wrong; and which camera sees which.
+    /// Noisy points on the sphere and the floor, `wrong` of them outliers, and the points that each camera sees.
     fn cloud(cameras: &[Camera], wrong: usize) -> (Vec<Vec3>, Vec<PointView>) {
         let mut rng = Pcg32::seed_from_u64(3);
         let mut points = vec![];
@@ -419,7 +419,7 @@ mod tests {
         points.extend((0..wrong).map(|_| Vec3::from_array([0; 3].map(|_| rng.random_range(-2.0..1.1_f32)))));
         let sees = |camera: &Camera| {
             let hidden = |p: DVec3| {
-                // By the sphere, short of the point itself.
+                // Whether the sphere, slightly shrunk, is hit before the point itself.
                 let d = p - camera.center();
                 let (a, b, c) = (d.length_squared(), camera.center().dot(d), camera.center().length_squared() - 0.99);
                 b * b > a * c && (-b - (b * b - a * c).sqrt()) / a < 0.99
@@ -436,20 +436,20 @@ mod tests {
         (points, views)
     }
 
-    /// Distance of a point to the two surfaces.
+    /// Distance of a point from the nearer of the two surfaces.
     fn error(p: Vec3) -> f64 {
         let p = p.as_dvec3();
         let floor = if p.x.abs().max(p.z.abs()) < 2.1 { (p.y - FLOOR).abs() } else { f64::INFINITY };
         (p.length() - 1.0).abs().min(floor)
     }
 
-    /// Means of the distance from the mesh to the truth and, over points that are right, from the truth to the mesh.
+    /// Mean distances from the mesh to the truth, and from correct points to the mesh.
     fn errors(surface: &Surface, points: &[Vec3]) -> [f64; 2] {
         let center = |t: &[u32; 3]| t.iter().map(|&i| surface.positions[i as usize]).sum::<Vec3>() / 3.0;
         let accuracy = surface.triangles.iter().map(|t| error(center(t))).sum::<f64>() / surface.triangles.len() as f64;
         let bvh = MeshBvh::new([(surface.positions.as_slice(), surface.triangles.as_slice())]);
         let distance = |p: &Vec3| bvh.closest_point(*p).map_or(f64::INFINITY, |c| c.distance);
-        // What is below the sphere is seen by nobody.
+        // No camera sees the region below the sphere.
         let seen = |p: &&Vec3| !(f64::from(p.y) > 0.5 && f64::from(p.x.hypot(p.z)) < 1.2);
         let known: Vec<f64> = points[..5000].iter().filter(seen).map(distance).collect();
         [accuracy, known.iter().sum::<f64>() / known.len() as f64]
@@ -459,19 +459,19 @@ mod tests {
     fn edges_that_views_agree_on_are_kept_in_all() {
         let k = Intrinsics { width: 400, height: 400, fx: 300.0, fy: 300.0, cx: 200.0, cy: 200.0 };
         let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
-        // A kite, across whose shorter diagonal Delaunay triangles lie.
+        // A kite, which Delaunay triangulation splits along the shorter diagonal.
         let points = [[-1.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.5, 3.0], [0.0, -0.5, 3.0]].map(Vec3::from);
         let has = |triangles: &[[u32; 3]], edge: [u32; 2]| {
             triangles.len() == 2 && triangles.iter().all(|t| edge.iter().all(|v| t.contains(v)))
         };
         let lift = |constraints: &[[u32; 2]]| lift(&camera, &points, &[0, 1, 2, 3], constraints);
         assert!(has(&lift(&[]), [2, 3]) && has(&lift(&[[0, 1]]), [0, 1]));
-        // The first of those that cross, and none to what is not seen.
+        // Of crossing constraints the first is kept, and constraints to unseen points are ignored.
         assert!(has(&lift(&[[0, 1], [2, 3]]), [0, 1]) && has(&lift(&[[2, 3], [0, 1], [0, 9]]), [2, 3]));
         let (long, short) = (lift(&[[0, 1]]), lift(&[]));
         let agreed = |[n_long, n_short]: [usize; 2], seen: usize| {
             let triangles = [vec![long.clone(); n_long], vec![short.clone(); n_short]].concat();
-            // And one more view, which sees but three of them.
+            // One more view, which sees only three of them.
             let all = agreed(4, &[vec![vec![0, 1, 2, 3]; seen], vec![vec![0, 2, 3]]].concat(), &triangles);
             let (few, whole) = all.split_last().unwrap();
             assert!(whole.iter().all(|edges| *edges == whole[0]));
@@ -481,7 +481,7 @@ mod tests {
         };
         let rim = [[0, 2], [0, 3], [1, 2], [1, 3]];
         assert_eq!(agreed([5, 4], 9), [&rim[..], &[[0, 1]]].concat());
-        // Not where half of the views that see both ends have it, nor where few are all.
+        // Not if only half of the views that see both ends have the edge, nor if few views have any.
         assert_eq!(agreed([5, 5], 10), rim);
         assert_eq!(agreed([4, 0], 4), [[0; 2]; 0]);
         assert_eq!(agreed([5, 0], 11), [[0; 2]; 0]);
@@ -499,12 +499,12 @@ mod tests {
             assert!(stats.clear < stats.lifted);
             assert_eq!((stats.views, stats.guessed), (24, 0));
         }
-        // One view of which nothing is known does not make the others guesses.
+        // One view without tracks does not make the others guesses.
         let (points, mut views) = cloud(&cameras, 0);
         views[3] = PointView::guess(views[3].camera, &points);
         let (_, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         assert_eq!((stats.guessed, stats.is_guess()), (1, false));
-        // Without tracks the points themselves say what is visible: as exact, but less is found.
+        // Without tracks, visibility is estimated from the points: as accurate, but less complete.
         views.iter_mut().for_each(|view| *view = PointView::guess(view.camera, &points));
         let (surface, stats) = surface_from_points(&views, &points, 20_000, true).unwrap();
         let [accuracy, completeness] = errors(&surface, &points);
@@ -513,7 +513,7 @@ mod tests {
         assert_eq!((stats.guessed, stats.is_guess()), (24, true));
     }
 
-    /// However many points there are, a view sees no more of them than its depth map tells apart.
+    /// A view sees at most one point per cell of its depth map, however many points there are.
     #[test]
     fn of_dense_clouds_a_part_is_seen() {
         let camera = &cameras()[0];
@@ -528,7 +528,7 @@ mod tests {
         assert!(seen.is_sorted());
     }
 
-    /// Memory for few of them leaves the same as memory for all.
+    /// With little memory, the result is the same as with memory for all.
     #[test]
     fn triangles_are_judged_in_parts_as_together() {
         let parts_of = |counts: &[usize], most: usize| -> Vec<(usize, usize)> {

@@ -1,4 +1,4 @@
-//! Fusion to simplified surface on analytic depth maps.
+//! From fusion of analytic depth maps to a simplified surface.
 
 use std::collections::HashMap;
 
@@ -9,7 +9,7 @@ use super::*;
 use crate::render::testing::largest;
 use crate::scene::{Camera, Intrinsics};
 
-/// All but crumbs.
+/// Options that drop only tiny components.
 pub(super) const ANY: SurfaceOptions =
     SurfaceOptions { min_component_faces: 50, planar: true, target_triangles: 100_000 };
 
@@ -46,7 +46,8 @@ pub(super) fn sphere(n: u32, center: Vec3, radius: f32) -> Surface {
     }
 }
 
-/// Depth map of what `hit(origin, dir)` returns: the ray parameter of a ray with z = 1 is the depth.
+/// Depth map of the surface hit by `hit(origin, dir)`, which returns the ray parameter: for a ray with z = 1 this is
+/// the depth.
 pub(super) fn depth_map(camera: &Camera, hit: impl Fn(DVec3, DVec3) -> Option<f64>) -> Vec<f32> {
     let k = *camera.intrinsics();
     let to_world = camera.rotation().transpose();
@@ -64,7 +65,7 @@ pub(super) fn unit_sphere(origin: DVec3, dir: DVec3) -> Option<f64> {
     (d >= 0.0).then(|| (-b - d.sqrt()) / a)
 }
 
-/// Möller–Trumbore, another formula than that of the hierarchy: the ray parameter at which a ray meets the plane within the triangle.
+/// Ray-triangle intersection by Möller–Trumbore, a formula other than that of the hierarchy; returns the ray parameter.
 pub(super) fn meets(origin: DVec3, dir: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
     let (e1, e2) = (b - a, c - a);
     let q = dir.cross(e2);
@@ -76,7 +77,7 @@ pub(super) fn meets(origin: DVec3, dir: DVec3, [a, b, c]: [DVec3; 3]) -> Option<
     (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| e2.dot(r) / det)
 }
 
-/// A wall, seen from several places.
+/// A wall seen from several positions.
 #[test]
 fn voxels_grow_until_they_fit() {
     let k = Intrinsics { width: 160, height: 120, fx: 600.0, fy: 600.0, cx: 80.0, cy: 60.0 };
@@ -111,7 +112,7 @@ fn fused_sphere(cameras: &[Camera], voxel: f64) -> Fusion {
     fusion
 }
 
-/// How many edges have two faces, four, and any odd number (a crack or a rim).
+/// Number of edges with two faces, with four faces, and with an odd number (a crack or boundary).
 pub(super) fn edge_counts(surface: &Surface) -> [usize; 3] {
     let mut faces: HashMap<(u32, u32), usize> = HashMap::new();
     for t in &surface.triangles {
@@ -124,7 +125,7 @@ pub(super) fn edge_counts(surface: &Surface) -> [usize; 3] {
     [count(&|n| n == 2), count(&|n| n > 2 && n % 2 == 0), count(&|n| n % 2 == 1)]
 }
 
-/// Largest and mean distance of samples (vertices and centroids) to the unit sphere.
+/// Largest and mean distance of samples (vertices and centroids) from the unit sphere.
 fn sphere_error(surface: &Surface) -> (f64, f64) {
     let corners = surface.triangles.iter().map(|t| t.map(|v| surface.positions[v as usize].as_dvec3()));
     let centroids = corners.map(|[a, b, c]| (a + b + c) / 3.0);
@@ -140,7 +141,7 @@ fn a_sphere_is_closed_and_in_place() {
     let surface = fusion.extract();
     let [two, four, odd] = edge_counts(&surface);
     assert_eq!(odd, 0, "cracks");
-    // Surface nets have one vertex per cell, so two sheets that pass one cell share it: rare on a smooth surface.
+    // Surface nets have one vertex per cell, which two sheets passing through the cell share: rare on a smooth surface.
     assert!(four * 1000 < two, "{four} of {two} edges have four faces");
     let (max, mean) = sphere_error(&surface);
     eprintln!(
@@ -149,7 +150,7 @@ fn a_sphere_is_closed_and_in_place() {
         max / voxel,
         mean / voxel
     );
-    // Distances along the ray overestimate at grazing angles, where few pixels see the surface.
+    // Distances along the ray are too large at grazing angles, where few pixels see the surface.
     assert!(max < voxel && mean < 0.25 * voxel, "{max} {mean}");
     let volume: f32 = surface
         .triangles
@@ -157,9 +158,9 @@ fn a_sphere_is_closed_and_in_place() {
         .map(|t| t.map(|v| surface.positions[v as usize]))
         .map(|[a, b, c]| a.dot(b.cross(c)) / 6.0)
         .sum();
-    // Also positive, which it is only if faces look outwards.
+    // Positive only if faces point outwards.
     assert!((f64::from(volume) / (4.0 / 3.0 * std::f64::consts::PI) - 1.0).abs() < 0.03, "volume {volume}");
-    // The same views give the same surface, whatever the threads did.
+    // The same views give the same surface, independently of thread scheduling.
     assert_eq!(surface, fused_sphere(&orbit(24, 160, 160), voxel).extract());
 }
 
@@ -168,7 +169,7 @@ fn memory_follows_the_surface_and_has_a_limit() {
     let cameras = orbit(8, 120, 120);
     let (coarse, fine) = (fused_sphere(&cameras, 0.04), fused_sphere(&cameras, 0.02));
     let growth = fine.bytes() as f64 / coarse.bytes() as f64;
-    // Half the voxel: 4 times the surface voxels in a band of a fixed number of voxels, not 8 times.
+    // With half the voxel size: 4 times the surface voxels in a band of a fixed number of voxels, not 8 times.
     assert!(growth < 5.0, "{growth}");
     let mut limited = Fusion::new(FusionOptions { max_bytes: 100_000, ..coarse.options }).unwrap();
     let depth = depth_map(&cameras[0], unit_sphere);
@@ -204,8 +205,8 @@ fn an_open_plane_ends_where_nothing_was_seen() {
     }
     let surface = surface_from_fusion(&fusion, &ANY).unwrap().0;
     for p in &surface.positions {
-        // 0.05 voxels: z is interpolated linearly between pixels, but 1/z is what is linear on a plane. One voxel and a
-        // pixel beyond the rim may be filled.
+        // 0.05 voxels: z is interpolated linearly between pixels, although 1/z is linear on a plane. One voxel and a
+        // pixel beyond the boundary may be filled.
         assert!(p.z.abs() < 1e-3 && p.x.abs() < 0.43 && p.y.abs() < 0.43, "{p}");
     }
     let area: f32 = surface
@@ -226,7 +227,7 @@ fn simplification_keeps_the_shape() {
     assert_eq!(edge_counts(&simple)[2], 0);
     let (max, mean) = sphere_error(&simple);
     eprintln!("simplified: error in voxels: max {:.3}, mean {:.3}", max / voxel, mean / voxel);
-    // A chord of the ~0.1 long edges sags by 0.1²/8 = 0.03 voxels; the rest is the error of the input.
+    // For edges of length ~0.1 the sagitta is 0.1²/8 = 0.03 voxels; the rest is the error of the input.
     assert!(max < 1.2 * voxel && mean < 0.3 * voxel, "{max} {mean}");
     assert_eq!(simple, simplify(&surface, &[], 2000));
 }
@@ -267,7 +268,7 @@ fn suggested_volume_holds_the_scene() {
     assert!((o.truncation / o.voxel - 5.0).abs() < 1e-12);
     assert!(o.bounds.0.max_element() < -1.0 && o.bounds.1.min_element() > 1.0, "{:?}", o.bounds);
     assert!(o.bounds.0.min_element() > -1.5 && o.bounds.1.max_element() < 1.5, "{:?}", o.bounds);
-    // A camera that passes the focus says nothing of how far the scene reaches.
+    // A camera that passes the focus gives no information on the extent of the scene.
     let mut walk = cameras.clone();
     let first = &cameras[0];
     let beside = -(first.rotation() * DVec3::new(0.1, 0.0, 0.0));
@@ -287,7 +288,7 @@ fn within_a_shell_charts_are_laid_out_in_the_world() {
     let (contraction, shell) =
         (Contraction::around(&cameras, &[point]).unwrap(), Shell::around(&cameras, &[point]).unwrap());
     let center = cameras.iter().map(Camera::center).sum::<DVec3>() / cameras.len() as f64;
-    // As far as the point four times over.
+    // At four times the distance of the point.
     let far = center + DVec3::Y * 4.0 * center.distance(point.as_dvec3());
     assert!(shell.holds(far.as_vec3()) && !shell.holds(point));
     let (unbounded, within) = (ChartSpace::unbounded(contraction), ChartSpace::within_shell(contraction, shell));
@@ -298,7 +299,7 @@ fn within_a_shell_charts_are_laid_out_in_the_world() {
     assert_eq!(within.place(far), unbounded.place(far));
 }
 
-/// The unit sphere in the middle of one of radius 60: ten times the radius in which space is as it is.
+/// The unit sphere inside a sphere of radius 60: ten times the radius of the uncontracted space.
 #[test]
 fn unbounded_scenes_are_fused_in_contracted_space() {
     const FAR: f64 = 60.0;
@@ -326,7 +327,7 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
     for p in &surface.positions {
         let distance = f64::from(p.length());
         let is_far = usize::from(distance > 10.0);
-        // In voxels as they are there: along the ray they grow by the square of the distance.
+        // In units of the local voxel size, which grows with the square of the distance along the ray.
         let size = [options.voxel, options.voxel * (FAR / 6.0).powi(2)][is_far];
         errors[is_far].push((distance - [1.0, FAR][is_far]).abs() / size);
     }
@@ -335,7 +336,7 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
     let mib = fusion.bytes() >> 20;
     eprintln!("{kinds:?} vertices near and far, at most {worst:?} voxels off, {mib} MiB");
     assert!(worst[0] < 1.0 && worst[1] < 1.0, "{worst:?}");
-    // 4π/voxel² near, and what two views see in their corners of 4π(6·1.9/voxel)² far.
+    // 4π/voxel² vertices near, and far those in image corners seen by two views, out of 4π(6·1.9/voxel)².
     assert!(kinds[0] > 5_000 && kinds[1] > 50_000 && mib < 200, "{kinds:?}, {mib} MiB");
     let (simple, stats) = surface_from_fusion(&fusion, &ANY).unwrap();
     assert!(stats.contraction == contraction && simple.positions.iter().any(|p| (p.length() - 60.0).abs() < 1.0));
@@ -343,7 +344,7 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
         simple.triangles.iter().filter(|t| range.contains(&simple.positions[t[0] as usize].length())).count()
     });
     assert_eq!(near + far, simple.triangles.len());
-    // As many as they take in contracted space, not in the world.
+    // The number of triangles is proportional to the area in contracted space, not in the world.
     assert!(near > 500 && far > near, "{near} and {far}");
     assert_eq!(surface_from_fusion(&fusion, &ANY).unwrap().0, simple);
 }

@@ -85,7 +85,8 @@ mod tests {
 
     const ALL: Tidying = Tidying { triangles: 10_000, drops_crumbs: true, closes_holes: true };
 
-    /// `n`² squares of two triangles each, without those that `leaves_out`, every triangle with corners of its own.
+    /// `n`² squares of two triangles each, without those for which `leaves_out` is true; every triangle has its own
+    /// vertices.
     fn sheet(n: u32, leaves_out: impl Fn(u32, u32) -> bool) -> Surface {
         let mut surface = Surface::default();
         for (x, y) in (0..n).flat_map(|y| (0..n).map(move |x| (x, y))).filter(|&(x, y)| !leaves_out(x, y)) {
@@ -112,7 +113,7 @@ mod tests {
         assert!(tidied.triangles.len() > whole && stats.simplified == tidied.triangles.len());
         assert!(tidied.positions.len() < 21 * 21 + 5 && tidied.positions.iter().all(|p| p.is_finite() && p.x <= 1.0));
         assert!(tidy(soup.clone(), Tidying { triangles: 100, ..ALL }).unwrap().0.triangles.len() <= 100);
-        // Each is asked for by itself.
+        // Each step can be enabled separately.
         for (drops_crumbs, closes_holes) in [(true, false), (false, true)] {
             let (_, stats) = tidy(soup.clone(), Tidying { drops_crumbs, closes_holes, ..ALL }).unwrap();
             let expected = (whole + usize::from(!drops_crumbs), usize::from(closes_holes));
@@ -129,7 +130,7 @@ mod tests {
         two.positions.extend(sheet(1, |_, _| false).positions.iter().map(|p| *p + Vec3::X * 3.0));
         two.triangles.extend([[first, first + 1, first + 2], [first + 3, first + 4, first + 5]]);
         assert_eq!(tidy(two, ALL).unwrap().1.simplified, 4);
-        // Nor are a hundred and fifty pieces that are all alike.
+        // A hundred and fifty equal pieces are no crumbs either.
         let mut many = Surface::default();
         for i in 0..150_u32 {
             let square = sheet(1, |_, _| false);

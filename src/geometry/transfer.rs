@@ -110,7 +110,7 @@ mod tests {
         let (from, to) = (square(Vec2::splat(0.25), Vec2::splat(0.75)), square(Vec2::splat(0.5), Vec2::splat(0.75)));
         let moved = transfer(&ramp(), &from, &to, 64, 3).unwrap();
         let at = |x: usize, y: usize| [moved.texels()[2 * (y * 64 + x)], moved.texels()[2 * (y * 64 + x) + 1]];
-        // Texel centres 32.5 to 47.5 of 64 are 8 to 24 of 32: one texel to one.
+        // Texel centres 32.5 to 47.5 of 64 map to 8 to 24 of 32: one texel to one.
         for (x, y) in [(32, 32), (40, 33), (47, 47)] {
             let expected = [(x - 24) as f32, (y - 24) as f32];
             assert!(at(x, y).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3), "{x} {y}: {:?}", at(x, y));

@@ -166,7 +166,7 @@ mod tests {
     use glam::DVec2;
     use rand::{RngExt, SeedableRng};
 
-    /// A closed blob with bumps and a handle-free but folded outline, 2·n² triangles or so.
+    /// A closed, bumpy surface without handles but with a folded outline, of about 2·n² triangles.
     fn bumpy_sphere(n: u32, noise: f32) -> Surface {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(7);
         let ring = 2 * n;
@@ -177,7 +177,7 @@ mod tests {
                     (std::f32::consts::PI * i as f32 / n as f32, std::f32::consts::PI * j as f32 / n as f32);
                 let p = Vec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin());
                 let r = 1.0 + 0.15 * (5.0 * p.x).sin() * (4.0 * p.y + 1.0).sin() + noise * (rng.random::<f32>() - 0.5);
-                // The poles are one point each.
+                // Each pole is a single point.
                 positions.push(if i == 0 || i == n { Vec3::new(0.0, p.y, 0.0) } else { p * r });
             }
         }
@@ -188,7 +188,7 @@ mod tests {
         Surface { positions, triangles }
     }
 
-    /// Owner of each texel centre, asserting that no two triangles share one; `u32::MAX` is nobody.
+    /// Owner of each texel centre, asserting that no two triangles share one; `u32::MAX` if there is none.
     fn rasterize(mesh: &UnwrappedMesh, size: usize) -> Vec<u32> {
         let mut owner = vec![u32::MAX; size * size];
         for (f, uvs) in (0u32..).zip(&mesh.corner_uvs) {
@@ -199,7 +199,7 @@ mod tests {
                 for x in low.x as usize..=(high.x as usize).min(size - 1) {
                     let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
                     let side = |s: DVec2, e: DVec2| (e - s).perp_dot(p - s);
-                    // 1e-3 texels² inside: f32 UVs move shared edges by 1e-4 texels.
+                    // 1e-3 texels² inside: rounding UVs to f32 moves shared edges by 1e-4 texels.
                     if side(a, b).min(side(b, c)).min(side(c, a)) > 1e-3 {
                         assert_eq!(owner[y * size + x], u32::MAX, "texel {x} {y} lies in two triangles");
                         owner[y * size + x] = f;
@@ -210,7 +210,7 @@ mod tests {
         owner
     }
 
-    /// Charts as seen from outside: triangles that share a UV edge, by bits.
+    /// Chart of each triangle, where charts consist of triangles that share a UV edge bit by bit.
     fn chart_ids(mesh: &UnwrappedMesh) -> Vec<usize> {
         let mut chart: Vec<usize> = (0..mesh.corner_uvs.len()).collect();
         fn root(chart: &mut [usize], mut i: usize) -> usize {
@@ -244,7 +244,7 @@ mod tests {
                 if f == u32::MAX {
                     continue;
                 }
-                // Every texel up to `gap` rows below and columns to either side; those above have looked down already.
+                // All texels up to `gap` rows below and columns to either side; rows above have been checked already.
                 for j in y..(y + gap + 1).min(size) {
                     for i in x.saturating_sub(gap)..(x + gap + 1).min(size) {
                         let g = owner[j * size + i];
@@ -262,7 +262,7 @@ mod tests {
         for (size, noise, min_coverage) in [(512, 0.0, 0.5), (512, 0.02, 0.4), (1024, 0.0, 0.5)] {
             let stats = check(&bumpy_sphere(60, noise), size);
             eprintln!("{size}, noise {noise}: {stats:?}");
-            // Where there is room for it.
+            // If there is room for the gutter.
             assert!(stats.gutter >= 1 && (size < 1024 || stats.gutter == 4), "{stats:?}");
             assert!(stats.coverage > min_coverage, "{stats:?}");
             assert!(stats.mean_density > 0.75 && stats.min_density > 0.2, "{stats:?}");
@@ -284,7 +284,7 @@ mod tests {
         let plane: Vec<Vec3> = (0..400).map(|i| Vec3::new((i % 20) as f32, 3.0, (i / 20) as f32)).collect();
         let squares: Vec<_> =
             (0..380u32).filter(|i| i % 20 != 19).flat_map(|i| [[i, i + 20, i + 1], [i + 1, i + 20, i + 21]]).collect();
-        // Along an axis, and at an angle like no other.
+        // Along an axis, and in a general direction.
         for along in [Vec3::X, Vec3::new(0.8, 0.6, 0.0), Vec3::new(0.3, 0.2, 0.9).normalize()] {
             let across = along.any_orthonormal_vector();
             let sliver = |width: f32| [Vec3::ZERO, along * 1e6, across * width];
@@ -293,17 +293,17 @@ mod tests {
             triangles.push([400, 401, 402]);
             let stats = check(&Surface { positions, triangles }, 256);
             assert!(stats.charts == 2 && stats.coverage > 0.5, "{along} {stats:?}");
-            // Also where it is all there is, or has no area.
+            // Also if the sliver is the only triangle, or has no area.
             for width in [1e-4, 0.0] {
                 check(&Surface { positions: sliver(width).to_vec(), triangles: vec![[0, 1, 2]] }, 64);
             }
         }
-        // Three corners on a line, none at the place of another.
+        // Three collinear corners, no two of them coincident.
         let line = [1.0, 2.0, 3.0].map(|i| i * 2f32.powi(70) * Vec3::new(1.0, 2.0, 3.0));
         check(&Surface { positions: line.to_vec(), triangles: vec![[0, 1, 2]] }, 64);
     }
 
-    /// Of two triangles that overlap by a fifth of a texel one goes where a centre lies in both.
+    /// If two triangles overlap by a fifth of a texel, one is moved only if a texel centre is in both.
     #[test]
     fn overlaps_are_those_that_final_texels_see() {
         let corners = |c: [[f64; 2]; 3]| c.map(DVec2::from);
@@ -317,7 +317,7 @@ mod tests {
 
     #[test]
     fn a_spiral_staircase_is_split_where_it_overlaps() {
-        // Three turns, all facing up: a single projection would put them on top of each other.
+        // Three turns, all facing up: in a single projection they would overlap.
         let mut positions = Vec::new();
         for i in 0..=180u8 {
             let a = f32::from(i) * 6.0f32.to_radians();
@@ -334,17 +334,17 @@ mod tests {
     #[test]
     fn charts_of_what_is_far_have_as_many_texels_to_a_pixel() {
         let ball = Contraction { center: DVec3::new(1.0, -2.0, 0.5), radius: 3.0 };
-        // Cameras are half the radius away from the centre.
+        // Cameras are at half the radius from the centre.
         let charts = ChartSpace::unbounded(ball).contraction;
         for distance in [300.0, 1e6] {
             let p = ball.center + DVec3::X * distance;
             let texels = charts.along(p, DVec3::Y).length();
-            // Where a texel is as large as a pixel at the centre, one is so here.
+            // A texel that is as large as a pixel at the centre is as large as a pixel here too.
             assert!((texels * distance / (0.5 * ball.radius) - 1.0).abs() < 0.01);
         }
     }
 
-    /// Two squares of one size in the picture of a camera 3 in front of the centre, 3 and 303 away.
+    /// Two squares of equal image size for a camera 3 in front of the centre, at distances 3 and 303.
     #[test]
     fn contracted_charts_have_the_texels_that_pixels_ask_for() {
         let square = |z: f32, side: f32| {
@@ -373,7 +373,7 @@ mod tests {
         assert!(matches!(unwrap(&of(vec![[0, 1, 5]]), None, 64, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
         assert!(matches!(unwrap(&of(vec![[0, 1, 4]]), None, 64, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
         assert!(matches!(unwrap(&of(vec![[0, 1, 2]]), None, 8, WIDEST_GUTTER), Err(GeometryError::Argument { .. })));
-        // No area; repeated; flipped; three on one edge; opposite directions.
+        // Without area; repeated; flipped; three at one edge; opposite directions.
         check(&of(vec![[0, 0, 0]; 3]), 64);
         check(&of(vec![[0, 1, 2]; 3]), 128);
         check(&of(vec![[0, 1, 2], [0, 2, 1], [0, 1, 3], [1, 0, 3], [0, 1, 1], [2, 3, 0]]), 128);

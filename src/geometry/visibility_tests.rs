@@ -1,4 +1,4 @@
-//! Rays against brute force, and against scenes whose visibility is known.
+//! Visibility by rays, compared with brute force and with scenes of known visibility.
 
 use glam::{DMat3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -34,20 +34,20 @@ fn look(mesh: &Mesh, size: usize, viewers: &Viewers) -> TexelVisibility {
     texel_visibility(mesh, [size; 2], &bvh, viewers).unwrap()
 }
 
-/// At the origin of the world, looking along z.
+/// A camera at the origin that looks along z.
 fn ahead(side: u32, focal: f64) -> Camera {
     let half = 0.5 * f64::from(side);
     let k = Intrinsics { width: side, height: side, fx: focal, fy: focal, cx: half, cy: half };
     Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap()
 }
 
-/// By texel, the faces that hold its centre and the points there.
+/// Per texel, the faces that contain its centre, with the surface points there.
 fn points(mesh: &Mesh, size: usize) -> Vec<Vec<(usize, DVec3)>> {
     let mut found = vec![vec![]; size * size];
     for (f, (uvs, t)) in mesh.corner_uvs().iter().zip(mesh.triangles()).enumerate() {
         let [a, b, c] = uvs.map(|uv| uv.as_dvec2() * size as f64);
         let p = t.map(|v| mesh.positions()[v as usize].as_dvec3());
-        // Of its box, for the sake of time: there are thousands of faces.
+        // Only texels of the triangle's bounding box, to save time: there are thousands of faces.
         let [low, high] = [a.min(b).min(c), a.max(b).max(c)].map(|corner| [corner.x, corner.y].map(|v| v as usize));
         let texels = (low[1]..=high[1].min(size - 1))
             .flat_map(|row| (low[0]..=high[0].min(size - 1)).map(move |column| row * size + column));
@@ -86,7 +86,7 @@ fn rays_see_what_brute_force_sees() {
         let masked = |view: usize, at: DVec2| view != 1 || at.x < 25.0;
         let found = look(&mesh, 96, &Viewers { cameras, near, layers, shows: &masked });
         for (texel, points) in found.texels.iter().zip(points(&mesh, 96)) {
-            // Charts of single triangles do not share texels, so that there is one point if any.
+            // Charts of single triangles do not share texels, so there is at most one point.
             let [(face, point)] = points[..] else {
                 assert!(points.is_empty());
                 continue;
@@ -121,7 +121,7 @@ fn joined(parts: &[Surface]) -> Surface {
     all
 }
 
-/// A square of `n`×`n` cells across the view, `half` to each side of the axis.
+/// A square of `n`×`n` cells across the view, extending `half` to each side of the axis.
 fn square(n: u32, z: f32, half: f32) -> Surface {
     let at = |i: u32| (2.0 * i as f32 / n as f32 - 1.0) * half;
     let cells = (0..n).flat_map(|y| (0..n).map(move |x| y * (n + 1) + x));
@@ -155,7 +155,7 @@ fn a_sphere_in_a_box_hides_what_it_must() {
         let Some((_, p)) = points.first() else { continue };
         let way = *p - eye;
         let is_sphere = p.length() < 1.01;
-        // Of the sphere the half that faces the camera is seen; of the walls what is not behind its outline.
+        // The half of the sphere that faces the camera is visible, and the walls except behind its silhouette.
         let measure = if is_sphere {
             -way.normalize().dot(p.normalize())
         } else {
@@ -163,7 +163,8 @@ fn a_sphere_in_a_box_hides_what_it_must() {
         };
         let is_ahead = camera.to_camera(*p).z > 0.0;
         let seen = camera.in_picture(camera.to_camera(*p)).is_some() && measure > 0.0;
-        // A polyhedron of 1.9° edges has its outline .0006 within that of the sphere, and its faces turn by as much as their edges.
+        // The silhouette of a polyhedron with edges of 1.9° is .0006 inside that of the sphere, and its normals deviate
+        // by as much as its edges.
         if is_ahead && measure.abs() < if is_sphere { 0.04 } else { 0.001 } {
             near_edge += 1;
             continue;
@@ -174,7 +175,7 @@ fn a_sphere_in_a_box_hides_what_it_must() {
     assert!(counts.as_flattened().iter().all(|&n| n > 2000) && near_edge < 2000, "{counts:?} {near_edge}");
 }
 
-/// One behind the other, so that rays to corners of cells pass edges and corners of those before.
+/// Planes one behind the other, so that rays to cell corners pass through edges and corners of those in front.
 #[test]
 fn layers_are_counted() {
     let planes: Vec<Surface> = (0..3).map(|i| square(4, 2.0 + i as f32, 1.0 + 0.5 * i as f32)).collect();
@@ -200,12 +201,13 @@ fn layers_are_counted() {
     };
     for layers in 1..=3 {
         assert_eq!(seen_of(0.0, layers), [0, 1, 2].map(|i| i < layers));
-        // Without the first, which is too near.
+        // The first plane is in front of the near plane.
         assert_eq!(seen_of(2.5, layers), [0, 1, 2].map(|i| i > 0 && i < layers + 1));
     }
 }
 
-/// Twice the same faces, far from the origin, where f32 positions are 1e-3 apart, from straight ahead to nearly edge-on.
+/// Two copies of the same faces, far from the origin, where f32 positions are 1e-3 apart, seen frontally to nearly
+/// edge-on.
 #[test]
 fn what_lies_on_a_surface_does_not_hide_it() {
     let offset = Vec3::new(9000.0, -5000.0, 2000.0);
@@ -228,7 +230,7 @@ fn what_lies_on_a_surface_does_not_hide_it() {
     }
 }
 
-/// Squares of which a pixel covers 3.9, .9, .4 and so on texels, straight ahead, and one that is turned.
+/// Squares of which a pixel covers 3.9, .9, .4, … texels, seen frontally, and a tilted one.
 #[test]
 fn mip_levels_are_those_of_the_footprint() {
     let cases = [
@@ -241,7 +243,7 @@ fn mip_levels_are_those_of_the_footprint() {
         (100.0, 0.0, 4),
     ];
     for (z, tilt, expected) in cases {
-        // 64 texels on 0.64; a pixel is z/100 wide at z.
+        // 64 texels on a side of 0.64; at depth z a pixel is z/100 wide.
         let turn = glam::Quat::from_rotation_y(tilt.to_radians() as f32);
         let corners = [[-0.32, -0.32], [0.32, -0.32], [0.32, 0.32], [-0.32, 0.32]];
         let positions = corners.map(|[x, y]| turn * Vec3::new(x, y, 0.0) + Vec3::new(0.0, 0.0, z as f32)).to_vec();
@@ -250,7 +252,7 @@ fn mip_levels_are_those_of_the_footprint() {
         let mesh = mesh(positions, vec![[0, 1, 2], [0, 2, 3]], uvs);
         let found = look(&mesh, 64, &viewers(&[ahead(400, 100.0)], 1));
         assert_eq!(found.texels[32 * 64 + 32], TexelSight::Seen(expected), "{z} {tilt}");
-        // The view from farther away is the coarser one.
+        // The more distant view is the coarser one.
         let far = Camera::new(*ahead(400, 100.0).intrinsics(), DMat3::IDENTITY, DVec3::new(0.0, 0.0, 12.0)).unwrap();
         let both = look(&mesh, 64, &viewers(&[ahead(400, 100.0), far], 1));
         assert_eq!(both.texels[32 * 64 + 32], TexelSight::Seen(4));
@@ -258,7 +260,7 @@ fn mip_levels_are_those_of_the_footprint() {
     }
 }
 
-/// A rail: its chart holds no texel's centre, or few, and all of it is seen.
+/// A rail: its chart contains few or no texel centres, and all of it is visible.
 #[test]
 fn charts_thinner_than_a_texel_are_seen_along_all_of_them() {
     for (slant, thickness) in [(0.0, 0.4), (0.0, 0.1), (0.36, 0.3)] {
@@ -293,20 +295,21 @@ fn what_is_mixed_in_is_reached() {
     };
     assert_eq!(reached([64, 32], &[(5, 9, 0)]), block(4..7, 8..11));
     assert_eq!(reached([64, 32], &[(0, 31, 0)]), block(0..2, 30..32));
-    // Column 5 of level 0 is within the right half of column 1 of level 2 (4..8), row 9 within the left half of row 2 (8..12).
+    // Column 5 of level 0 is in the right half of column 1 of level 2 (4..8), row 9 in the left half of row 2 (8..12).
     assert_eq!(reached([64, 32], &[(5, 9, 2)]), block(0..8, 4..12));
     assert_eq!(reached([64, 32], &[(63, 0, 4)]), block(48..64, 0..16));
-    // A side of 5 has no mips, whatever a texel says.
+    // A side of 5 texels has no mips, whatever level a texel has.
     assert_eq!(reached([5, 8], &[(2, 2, 3)]), block(1..4, 1..4));
     assert_eq!(reached([16, 16], &[]), []);
-    // Smaller pictures read coarser levels, and no texture has those beyond its last.
+    // Smaller pictures read coarser levels, up to the last level of a texture.
     assert_eq!(reached_from(2, u8::MAX, [64, 32], &[(5, 9, 0)]), block(0..8, 4..12));
     assert_eq!(reached_from(2, 1, [64, 32], &[(5, 9, 3)]), reached([64, 32], &[(5, 9, 1)]));
 }
 
 #[test]
 fn triangles_without_texels_and_without_sense() {
-    // One smaller than a texel, one without area in space, one without area in the map, on an atlas of 8² texels.
+    // On an atlas of 8² texels: a triangle smaller than a texel, one without area in space, and one without area in the
+    // map.
     let positions = [[0.0, 0.0, 2.0], [0.1, 0.0, 2.0], [0.0, 0.1, 2.0], [0.2, 0.0, 2.0]].map(Vec3::from).to_vec();
     let small = [Vec2::new(0.01, 0.01), Vec2::new(0.03, 0.01), Vec2::new(0.01, 0.03)];
     let uvs = vec![small, small.map(|uv| uv + 0.5), [Vec2::ONE; 3]];
@@ -329,7 +332,7 @@ fn triangles_without_texels_and_without_sense() {
 #[ignore = "a timing, not a check"]
 fn time_of_many_views() {
     for (size, views) in [(512, 48), (2048, 200)] {
-        // The inner one is hidden from all sides.
+        // The inner sphere is hidden from all sides.
         for parts in
             [vec![sphere(140, Vec3::ZERO, 1.0)], vec![sphere(140, Vec3::ZERO, 1.0), sphere(140, Vec3::ZERO, 0.7)]]
         {

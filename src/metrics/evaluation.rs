@@ -302,7 +302,7 @@ pub(super) mod tests {
     #[test]
     fn scores_are_taken_on_8_bit_images() {
         let e = example();
-        // 0.5 → 128, 0.6 → 153, 0.51 → 130: quantised differences of 25 and 2 levels.
+        // 0.5 → 128, 0.6 → 153, 0.51 → 130: differences of 25 and 2 levels after quantisation.
         let db = |levels: f64| -20.0 * (levels / 255.0).log10();
         let [a, b] = [0, 1].map(|i| e.views[i].scores);
         assert!((a.psnr - db(25.0)).abs() < 1e-5 && (b.psnr - db(2.0)).abs() < 1e-5);
@@ -335,7 +335,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Those of rendering are of this adapter, those of training of the one that trained.
+    /// Rendering figures belong to this adapter, training figures to the adapter that trained.
     #[test]
     fn times_and_memory_say_what_they_are_of() {
         let measured = Measured {

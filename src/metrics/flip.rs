@@ -24,7 +24,7 @@ mod tests {
 
     use super::*;
 
-    /// As in `tests/oracles/check_flip.py`.
+    /// The pictures of `tests/oracles/check_flip.py`.
     fn pictures(width: u32, height: u32) -> (Rgb32FImage, Rgb32FImage) {
         let color = |x: u32, y: u32, more: u32| {
             let lines = if (x + y) % 11 < 4 { 230 } else { 40 };
@@ -36,7 +36,8 @@ mod tests {
 
     #[test]
     fn golden_values() {
-        // By PyPI's flip-evaluator 1.7; nv-flip holds version 1.2, which rounds differently where lines are hard.
+        // Golden values by PyPI's flip-evaluator 1.7; nv-flip contains version 1.2, which rounds differently at sharp
+        // lines.
         for ((width, height), golden) in [((64, 48), 0.377_455), ((31, 17), 0.353_533), ((5, 3), 0.444_331)] {
             let (truth, render) = pictures(width, height);
             let found = flip(&truth, &render).unwrap();

@@ -425,7 +425,7 @@ mod tests {
 
     type Tensors = Vec<(String, (Vec<usize>, Vec<u8>))>;
 
-    /// Random weights of a size that keeps features near 1.
+    /// Random weights, scaled so that features stay near 1.
     fn random(net: LpipsNet, seed: u64) -> Tensors {
         let mut rng = Pcg32::seed_from_u64(seed);
         let (mut tensors, mut channels, mut taps) = (vec![], 3, 0);
@@ -470,7 +470,7 @@ mod tests {
         Rgb32FImage::from_fn(side, side + 3, |_, _| Rgb([0; 3].map(|_| rng.random_range(0.0..1.0))))
     }
 
-    /// The definition of a convolution, term by term.
+    /// Comparison with the definition of a convolution, term by term.
     #[test]
     fn convolutions_are_what_they_are() {
         let mut rng = Pcg32::seed_from_u64(3);
@@ -550,7 +550,7 @@ mod tests {
         assert!(Lpips::open(file.path()).err().unwrap().to_string().contains("header: expected a safetensors file"));
     }
 
-    /// A header may say anything.
+    /// A header can contain anything.
     #[test]
     fn damaged_weights_are_errors_not_panics() {
         let whole = bytes_of(&random(LpipsNet::Alex, 1));
@@ -559,7 +559,7 @@ mod tests {
         let (mut damaged, mut refused) = (whole.clone(), 0);
         for case in 0..300 {
             let at = if case % 4 == 0 { case % 8 } else { rng.random_range(8..header) };
-            // Digits become others, and with them offsets and shapes.
+            // Digits are replaced by other digits, which changes offsets and shapes.
             damaged[at] = if damaged[at].is_ascii_digit() { b'0' + rng.random_range(0..10) } else { rng.random() };
             let end = if case % 10 == 9 { rng.random_range(0..whole.len()) } else { whole.len() };
             refused += usize::from(Lpips::read(std::io::Cursor::new(&damaged[..end])).is_err());

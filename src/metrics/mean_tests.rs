@@ -1,9 +1,9 @@
-//! The mean of scores of which no two numbers are the same.
+//! Means of scores whose values are all different.
 
 use super::*;
 use crate::scene::{Composition, HybridScene, Splats};
 
-/// Scores whose means are those of the mean offset.
+/// Scores that depend linearly on an offset, so that the mean of scores has the mean offset.
 fn scores(offset: f64) -> Scores {
     let lpips = LpipsScore { net: LpipsNet::Alex, normalized: 0.5 + offset, unnormalized: 0.25 + 2.0 * offset };
     Scores {
@@ -25,7 +25,7 @@ fn mean(all: &[Scores]) -> Option<Scores> {
 
 #[test]
 fn every_number_has_its_own_mean() {
-    // All of these are exact.
+    // All of these values are exact in binary.
     assert_eq!(mean(&[scores(0.0), scores(0.0625)]), Some(scores(0.03125)));
     assert_eq!(mean(&[scores(0.125), scores(-0.0625), scores(-0.0625)]), Some(scores(0.0)));
     assert_eq!(mean(&[scores(0.0625)]), Some(scores(0.0625)));
@@ -38,7 +38,7 @@ fn of_what_one_lacks_there_is_no_mean() {
     let lacking =
         [Scores { ssim_valid: None, ..whole }, Scores { ssim_reflect: None, ..whole }, Scores { lpips: None, ..whole }];
     for lacking in lacking {
-        // Whichever comes first.
+        // In any order.
         for all in [[whole, lacking], [lacking, whole], [lacking; 2]] {
             assert_eq!(mean(&all), Some(lacking));
         }

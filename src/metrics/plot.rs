@@ -184,7 +184,7 @@ mod tests {
             (false, vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, f64::INFINITY), (3.0, 1.0)]),
             (false, vec![(0.0, -1e308), (1.0, 1e308)]),
             (true, vec![(0.0, 1e-300), (1.0, 1e300)]),
-            // Between two marks of a logarithmic axis, and around one.
+            // Values between two ticks of a logarithmic axis, and around one.
             (true, vec![(0.0, 0.055), (1.0, 0.095)]),
             (true, vec![(0.0, 0.0301), (1.0, 0.0299)]),
             (true, vec![(0.0, 0.95), (1.0, 1.05)]),
@@ -202,7 +202,7 @@ mod tests {
                     && text.contains("c &lt; d"),
                 "{text}"
             );
-            // Of the vertical axis, and the name of the horizontal one.
+            // Labels of the vertical axis, and the name of the horizontal one.
             assert!(text.matches("text-anchor=\"end\"").count() > 2, "{text}");
             assert!(text.len() < 20_000, "{} bytes", text.len());
         }

@@ -45,7 +45,7 @@ mod tests {
     #[test]
     fn golden_value() {
         let (x, y) = golden_pair();
-        // The golden number has 6 decimals; f32 storage adds about 1e-6 dB.
+        // The golden value has 6 decimals; storing pixels in f32 adds about 1e-6 dB.
         assert!((psnr(&x, &y).unwrap() - 26.798809).abs() < 2e-6);
         assert_eq!(psnr(&x, &x).unwrap(), f64::INFINITY);
     }

@@ -200,7 +200,7 @@ mod tests {
                 && page.contains("0.01 &lt;extent&gt;")
         );
         assert!(page.contains("src=\"data:image/jpeg;base64,/9j/") && page.contains("<polyline"));
-        // The SVG namespace is a name, not a resource.
+        // The SVG namespace is a name, not a link.
         let links = page.replace("http://www.w3.org/2000/svg", "");
         assert!(!links.contains("http") && !links.contains("<link") && !links.contains("<script"));
     }
@@ -212,7 +212,7 @@ mod tests {
         }
     }
 
-    /// The sheet of photographs of 22,000 pixels is wider than a JPEG can be.
+    /// A sheet of photographs 22,000 pixels wide is wider than a JPEG can be.
     #[test]
     fn pictures_that_are_too_large_for_a_page_are_shrunk() {
         let sheet = RgbImage::from_fn(66_008, 20, |x, _| image::Rgb([if x < 33_004 { 200 } else { 40 }; 3]));

@@ -129,7 +129,8 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// X = (16i+j)/255, Y = clip(0.9·X + 0.05·((i+j) mod 2)), 16×16. Their SSIM was computed apart, in float64.
+    /// X = (16i+j)/255, Y = clip(0.9·X + 0.05·((i+j) mod 2)), 16×16. The golden SSIM was computed separately, in
+    /// float64.
     fn golden_planes() -> (Vec<f64>, Vec<f64>) {
         let x: Vec<f64> = (0..256).map(|p| f64::from(p) / 255.0).collect();
         let y = (0..256).map(|p| (0.9 * x[p] + 0.05 * ((p / 16 + p % 16) % 2) as f64).clamp(0.0, 1.0)).collect();
@@ -148,11 +149,11 @@ pub(super) mod tests {
         for (border, golden) in
             [(Border::Zero, 0.970822791), (Border::Valid, 0.958179291), (Border::Reflect, 0.947735576)]
         {
-            // The golden numbers have 9 decimals.
+            // The golden values have 9 decimals.
             assert!((plane(&x, &y, 16, 16, border) - golden).abs() < 6e-10);
         }
         let (x, y) = golden_pair();
-        // f32 pixels move the figure by their rounding, about 1e-7.
+        // Rounding pixels to f32 changes the value by about 1e-7.
         assert!((ssim_inria(&x, &y).unwrap() - 0.970822791).abs() < 1e-6);
         assert!((ssim_valid(&x, &y).unwrap() - 0.958179291).abs() < 1e-6);
         assert!((ssim_reflect(&x, &y).unwrap() - 0.947735576).abs() < 1e-6);

@@ -156,7 +156,7 @@ mod tests {
         let all: Vec<DVec3> = directions().collect();
         assert!(all.iter().all(|d| (d.length() - 1.0).abs() < 1e-12));
         assert!(all.iter().sum::<DVec3>().length() < 1.0);
-        // Each octant has an eighth.
+        // Each octant contains an eighth of the directions.
         let octant = all.iter().filter(|d| d.cmpgt(DVec3::ZERO).all()).count();
         assert!(octant.abs_diff(DIRECTIONS / 8) < 20, "{octant}");
     }
@@ -165,7 +165,7 @@ mod tests {
     fn cells_with_points_and_those_around_are_not_clear() {
         let k = Intrinsics { width: 100, height: 50, fx: 100.0, fy: 100.0, cx: 50.0, cy: 25.0 };
         let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
-        // At pixel (50, 25), however far; one behind the camera.
+        // A point that projects to pixel (50, 25) at any depth, and one behind the camera.
         let point = |z: f64| Point { position: DVec3::new(0.0, 0.0, z), rgb: [0; 3] };
         let map = Clear::new(&camera, &[point(1000.0), point(-1.0)]);
         let at = |x: f64, y: f64| map.is_clear(DVec3::new((x - 50.0) / 100.0, (y - 25.0) / 100.0, 1.0).normalize());
@@ -175,7 +175,7 @@ mod tests {
         assert_eq!(map.is_clear(DVec3::X), None);
     }
 
-    /// The demo's table fills its pictures; turned upwards they would show what is behind.
+    /// The demo's table fills the pictures, so the cameras are tilted up to see the background.
     #[test]
     fn splats_are_where_views_agree_on_seeing_no_point() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
@@ -196,7 +196,7 @@ mod tests {
         capture.points.truncate(3);
         let all = of(&capture, &|_| 50);
         assert!(many.len() < all.len(), "{} of {}", many.len(), all.len());
-        // All are beyond the points, and as many as there may be, all around.
+        // All splats are beyond the points, in all directions, and as many as allowed.
         let reach = capture.points.iter().map(|p| p.position.length()).fold(0.0, f64::max) as f32;
         assert!(all.means().iter().all(|m| m.length() > reach));
         assert_eq!(all.len(), 1000);
@@ -204,11 +204,11 @@ mod tests {
         assert!(low > 100 && high > 100, "{low} {high}");
         let color = all.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
         assert!((color[0] - 50.0 / 255.0).abs() < 1e-5 && (color[2] - 200.0 / 255.0).abs() < 1e-5, "{color:?}");
-        // What the background shows needs no splats.
+        // Pixels in the background colour need no splats.
         let [same, other] = [51.0, 53.0].map(|red: f32| Some([red / 255.0, 100.0 / 255.0, 200.0 / 255.0]));
         assert!(in_front_of(same, &capture, &|_| 50).is_empty());
         assert_eq!(in_front_of(other, &capture, &|_| 50), all);
-        // Views that do not agree see something near; where there is one only, it agrees with itself.
+        // Views that disagree see something near; a single view always agrees with itself.
         let differing = of(&capture, &|view| view.name.bytes().fold(0_u8, |a, b| a.wrapping_mul(31).wrapping_add(b)));
         assert!(differing.len() < all.len() / 2, "{} of {}", differing.len(), all.len());
         capture.points.clear();

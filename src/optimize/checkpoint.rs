@@ -312,7 +312,7 @@ mod tests {
             meta: json!({ "iteration": 1200, "seed": u64::MAX, "rng": format!("{:x}", u128::MAX), "options": "c0ffee" }),
             splats,
             tensors: BTreeMap::from([("mesh0/base".into(), vec![1.0, -2.5, f32::MAX]), ("mesh0/bands".into(), vec![])]),
-            // Not all of them are f32.
+            // Not all of these are exact in f32.
             indices: BTreeMap::from([("mesh0/triangles".into(), vec![0, (1 << 24) + 1, u32::MAX])]),
         }
     }
@@ -333,7 +333,7 @@ mod tests {
         std::fs::read(path).unwrap()
     }
 
-    /// With the checksum that belongs to them.
+    /// Bytes with a valid checksum.
     fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
         if let Some((content, sum)) = bytes.split_last_chunk_mut::<4>() {
             let mut crc = Crc::new();
@@ -408,7 +408,7 @@ mod tests {
             message(&sealed(bytes))
         };
         let version = |v: u32| format!(r#"version\":{v}"#);
-        // Of as many digits.
+        // A version with the same number of digits.
         let found = edited(&version(VERSION), &version(VERSION + 1));
         assert!(found.contains(&format!("version: expected {VERSION}, found {}", VERSION + 1)), "{found}");
         assert!(edited("splats/sh_m", "splats/sh_x").contains("splats/sh_m: expected an array, found none"));

@@ -367,13 +367,13 @@ mod tests {
         Shown::new(camera, &known(points, &bare()), photo)
     }
 
-    /// Across the view of [`facing`] cameras.
+    /// A triangle at depth `z` that fills the view of [`facing`] cameras.
     fn wall(z: f32) -> MeshBvh {
         let corners = [[-9.0, -9.0, z], [9.0, -9.0, z], [0.0, 9.0, z]].map(Vec3::from);
         MeshBvh::new([(&corners[..], &[[0, 1, 2]][..])])
     }
 
-    /// Cells, in all views, in which neither a point nor a splat is seen.
+    /// Number of cells in all views that contain neither a point nor a splat.
     fn empty_cells(capture: &Capture, points: &[DVec3]) -> usize {
         let of_view = |view: &View| {
             let cells = Cells::new(&view.camera);
@@ -387,23 +387,23 @@ mod tests {
     #[test]
     fn what_has_no_points_is_covered_once_at_their_depth() {
         let capture = demo();
-        // Half of the demo has no points.
+        // In half of the demo the points are removed.
         let points: Vec<DVec3> = capture.points.iter().map(|p| p.position).filter(|p| p.x > 0.0).collect();
         let splats = cover(&capture, &points, 100_000);
         let all: Vec<DVec3> = points.iter().copied().chain(splats.means().iter().map(|m| m.as_dvec3())).collect();
         let (before, after) = (empty_cells(&capture, &points), empty_cells(&capture, &all));
-        // What is left, 13 %, would float before the points of others.
+        // In the remaining 13 %, splats would float in front of points of other views.
         assert!(before > 5000 && after < before / 5, "{before} {after}");
-        // Views share them.
+        // Views share splats.
         assert!(splats.len() < before / 2, "{} for {before}", splats.len());
-        // The scene is a few units large; extrapolated depths stay in the order of those of points.
+        // The scene is a few units large; extrapolated depths stay in the range of point depths.
         assert!(splats.means().iter().all(|m| m.length() < 20.0));
         let color = splats.sh()[0].map(|c| 0.5 + 0.282_094_8 * c);
         assert!([0.2, 0.4, 0.8].iter().zip(color).all(|(a, b)| (a - b).abs() < 1e-5), "{color:?}");
         assert_eq!(splats, cover(&capture, &points, 100_000));
     }
 
-    /// The demo's table stands before nothing.
+    /// The demo's table stands in front of an empty background.
     #[test]
     fn what_shows_the_background_stays_bare() {
         let capture = demo();
@@ -414,7 +414,7 @@ mod tests {
             let known = Known { background, ..known(&points, &nothing) };
             between_points(&views, &known, 0, 100_000, |view| Ok(crate::capture::decode(view)?.into())).unwrap()
         };
-        // Nothing of the demo is nearly as green as that.
+        // No colour in the demo is close to this green.
         let [all, over_black, over_green] = [None, Some([0.0; 3]), Some([0.0, 1.0, 0.0])].map(cover);
         let is_black = |sh: &[f32; 3]| sh.iter().all(|c| 0.5 + 0.282_094_8 * c < 1.9 / 255.0);
         let black = all.sh().iter().filter(|sh| is_black(sh)).count();
@@ -433,7 +433,7 @@ mod tests {
         assert!(cover(&capture, &points, 0).is_empty() && cover(&capture, &[], 100).is_empty());
     }
 
-    /// A floor below all of the demo, of two triangles.
+    /// A floor of two triangles below the whole demo.
     #[test]
     fn what_a_mesh_covers_stays_bare() {
         let capture = demo();
@@ -443,7 +443,8 @@ mod tests {
         let views: Vec<&View> = capture.views.iter().collect();
         let photo = |view: &View| Ok(grey(&view.camera).into());
         let splats = between_points(&views, &known(&points, &floor), 1, 100_000, photo).unwrap();
-        // Some view sees each above the floor's horizon. Above it they are put farther away rather than left out, so it is many that stay.
+        // Each splat is above the floor's horizon in some view. There, splats are moved farther away rather than left
+        // out, so that many remain.
         let is_above = |eye: DVec3, p: DVec3| !floor.any_hit(eye, p - eye, 0.0, f64::INFINITY);
         let above = |p: DVec3| views.iter().any(|view| is_above(view.camera.center(), p));
         assert!(splats.means().iter().all(|p| above(p.as_dvec3())));
@@ -460,12 +461,13 @@ mod tests {
     fn splats_are_as_deep_as_what_is_beside_them_and_as_wide_as_their_cell() {
         let map = shown(&facing(0.0), &[DVec3::new(0.0, 0.0, 4.0)], &grey(&facing(0.0)));
         let corner = map.cover(0).unwrap();
-        // Ten pixels beyond the picture and four of them: the middle is eight beyond.
+        // The border is ten pixels wide and a cell four: the centre of the first is eight pixels outside of the
+        // picture.
         let p = facing(0.0).to_camera(corner.mean);
         assert!((p.z - 4.0).abs() < 1e-9 && (facing(0.0).project(p) + DVec2::splat(8.0)).length() < 1e-9, "{p}");
-        // Half of 3.6 pixels of 1/100 at a depth of 4.
+        // Half of a cell of 3.6 pixels of size 1/100 at a depth of 4.
         assert!((corner.scale - 0.072).abs() < 1e-9, "{}", corner.scale);
-        // Between two depths is their mean, of nearness.
+        // Between two depths, inverse depth is averaged.
         let two = [DVec3::new(-2.0, 0.0, 4.0), DVec3::new(6.0, 0.0, 12.0)];
         let map = shown(&facing(0.0), &two, &grey(&facing(0.0)));
         let row = map.cells.of(DVec3::new(0.0, 0.0, 1.0)).unwrap() / map.cells.columns * map.cells.columns;
@@ -473,7 +475,7 @@ mod tests {
         assert!(depths.is_sorted() && depths[0] == 4.0 && (depths[33] - 12.0).abs() < 1e-9, "{depths:?}");
     }
 
-    /// A light ball with points in a room, from twelve sides, and a plate beside it that has none.
+    /// A light ball with points in a room, seen from twelve sides, and beside it a plate without points.
     #[test]
     fn dim_air_is_far_away_but_not_what_other_views_tell() {
         const PLATE: DVec3 = DVec3::new(0.0, 1.1, 0.0);
@@ -513,18 +515,18 @@ mod tests {
         assert!(things.len() > 5 && things.iter().all(|c| c.mean.distance(PLATE) < 1.0), "{}", things.len());
         let light = covers_of(150, 200);
         let near = light.iter().filter(|c| c.mean.length() < 6.0).count();
-        // What would float before the ball goes farther there, too.
+        // Splats that would float in front of the ball are moved farther away here too.
         assert!(near > light.len() / 3, "{near} of {}", light.len());
     }
 
-    /// Points left and right of the middle, of one depth or of two.
+    /// Points to the left and right of the middle, at equal or different depths.
     #[test]
     fn what_is_between_points_of_one_depth_is_told() {
         for (depths, expected) in
             [([4.0, 4.0], true), ([4.0, 5.9], true), ([4.0, 6.1], false), ([4.0, f64::NAN], false)]
         {
             for side in [DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0), DVec3::new(1.0, -1.0, 0.0)] {
-                // The middle cell's own middle, and those five cells away.
+                // The centre of the middle cell, and the centres five cells away.
                 let middle = DVec3::new(-0.006, -0.006, 1.0);
                 let points: Vec<DVec3> = (depths.iter().zip([-0.18, 0.18]))
                     .filter(|(z, _)| z.is_finite())
@@ -539,7 +541,8 @@ mod tests {
 
     #[test]
     fn nothing_is_put_before_what_others_see_nor_where_a_mask_is() {
-        // The first view sees a point at depth 2 only and would extend it over all of the picture; others see points at 10 there.
+        // The first view sees only a point at depth 2 and would extrapolate it over the whole picture, where other
+        // views see points at depth 10.
         let near = DVec3::new(-0.9, -0.9, 2.0);
         let far: Vec<DVec3> = (0..3600)
             .map(|i| DVec3::new(f64::from(i % 60), f64::from(i / 60), 0.0) / 5.0 - DVec3::new(5.9, 5.9, -10.0))
@@ -556,7 +559,7 @@ mod tests {
         let [nothing, wall, lens] = [bare(), wall(5.0), wall(0.1)];
         assert!(hides(&cover, &nothing) && !super::hides(&cover, &[], &known(&[], &nothing)));
         assert!(hides(&at(9.4), &nothing) && !hides(&at(9.6), &nothing));
-        // A mesh hides the points behind it, but for what is before the near plane.
+        // A mesh hides the points behind it, except for parts in front of the near plane.
         assert!(hides(&at(4.7), &wall) && !hides(&at(4.8), &wall));
         assert!(hides(&at(4.5), &nothing) && hides(&at(4.5), &lens));
         let camera = &first.cells.camera;
@@ -568,7 +571,7 @@ mod tests {
         assert!(masked.cover(middle).is_none() && masked.cover(middle + 2).is_some());
     }
 
-    /// A cube as large as a tenth of its distance, seen from four sides before what has no points.
+    /// A cube with a size of a tenth of its distance, seen from four sides against an area without points.
     #[test]
     fn what_is_around_an_object_stands_before_it_from_no_side() {
         let source = demo().views[0].source.clone();
@@ -583,7 +586,8 @@ mod tests {
         let photo = |view: &View| Ok(grey(&view.camera).into());
         let some: Vec<&View> = views.iter().collect();
         let splats = between_points(&some, &known(&cube, &bare()), 0, 100_000, photo).unwrap();
-        // Its front is 9.5 away. What is as deep as its middle beside it is nearer from the next side.
+        // The front of the cube is at 9.5. A splat beside the cube, as deep as its centre, would be in front of it from
+        // the next side.
         let is_before = |view: &View, p: DVec3| {
             let p = view.camera.to_camera(p);
             let from_middle = view.camera.project(p) - DVec2::splat(50.0);
@@ -595,7 +599,7 @@ mod tests {
 
     #[test]
     fn nothing_is_put_right_before_a_camera() {
-        // 1 % of the depths are wild.
+        // 1 % of the depths are outliers.
         let depths: Vec<f64> = (0..100).map(|i| if i == 7 { 0.3 } else { 4.0 + f64::from(i) / 100.0 }).collect();
         assert_eq!([depths, vec![5.0], vec![]].map(nearest_depth), [4.01, 5.0, 0.0]);
         let photo = grey(&facing(0.0));
@@ -605,12 +609,12 @@ mod tests {
             let cover = Cover { mean: DVec3::new(x, 0.0, z), scale: 0.1, color: [0.5; 3] };
             hides(&cover, &[Shown::new(&facing(0.0), &known, &photo)], &known)
         };
-        // Beside what shows the point, and beside the picture; and beyond.
+        // Beside the pixel of the point, and outside the picture; and at a greater distance.
         for (at, far) in [([1.0, 3.5], [1.0, 4.1]), ([3.0, 1.0], [4.5, 1.0])] {
             assert_eq!([at, far].map(|[x, z]| is_hiding(x, z, &bare())), [true, false], "{at:?}");
         }
         assert!(!is_hiding(0.0, -1.0, &bare()));
-        // Something as near as a mesh may be beside it.
+        // A splat may be about as near to the camera as the nearest mesh.
         assert_eq!([2.3, 2.5].map(|x| is_hiding(x, 0.1, &wall(3.0))), [true, false]);
     }
 

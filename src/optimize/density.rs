@@ -60,12 +60,12 @@ pub(super) mod tests {
 
     pub(crate) use crate::render::gpu::state::tests::state;
 
-    /// [`state`] at their places.
+    /// [`state`] as an arrangement.
     pub(crate) fn arrangement(n: usize) -> Arrangement {
         Arrangement::new(state(n, 0).geometry)
     }
 
-    /// What a rearrangement leaves of these.
+    /// The state after a rearrangement.
     pub(crate) fn rearranged(before: &SplatState, splats: &Arrangement) -> SplatState {
         before.rearranged(splats.geometry(), splats.sources())
     }
@@ -79,7 +79,7 @@ pub(super) mod tests {
         reset_opacity(&mut s);
         assert!((s.opacity(0) - 0.01).abs() < 1e-6);
         assert_eq!(s.opacity(1), before.opacity(1));
-        // As large as what smooths it: √2 as wide along each axis.
+        // As large as its smoothing: √2 times as wide along each axis.
         assert!((s.opacity(2) - 0.01 * 8.0_f32.sqrt()).abs() < 1e-6);
         let all = state(3, 1);
         let after = rearranged(&all, &s);

@@ -197,7 +197,7 @@ mod tests {
         let splats = from_points(&grid(20, 0.5), 3, Initial::INRIA, 1000, 1).unwrap();
         assert_eq!((splats.len(), splats.sh_degree()), (400, 3));
         for i in 0..400 {
-            // Inside and on edges three neighbours at 0.5; at corners the third is at √½: d² = (2·¼ + ½)/3.
+            // Inside and on edges there are three neighbours at 0.5; at corners the third is at √½: d² = (2·¼ + ½)/3.
             let corner = [0, 19].contains(&(i % 20)) && [0, 19].contains(&(i / 20));
             let scale = if corner { (1.0_f32 / 3.0).sqrt() } else { 0.5 };
             assert!((splats.log_scales()[i].exp() - scale).abs().max_element() < 1e-6);
@@ -220,7 +220,7 @@ mod tests {
         let mut points = grid(20, 0.5);
         points.push(point(1e4, 0.0, 0.0));
         points.extend([point(3.1, 3.1, 0.0); 9]);
-        points.push(Point { position: DVec3::splat(1e300), rgb: [0; 3] }); // no f32
+        points.push(Point { position: DVec3::splat(1e300), rgb: [0; 3] }); // beyond f32
         let splats = from_points(&points, 0, Initial::INRIA, 1000, 1).unwrap();
         assert_eq!(splats.len(), 410);
         assert!((splats.log_scales()[400].x.exp() - 5.0).abs() < 1e-5, "ten times the median");

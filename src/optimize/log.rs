@@ -191,7 +191,7 @@ mod tests {
         assert_eq!(Past::from_words(&[0, 0, 0, 0, 0, 3, 1, 1, 1, 0, 0, 0, 0, 0, 0]), None, "no such phase");
     }
 
-    /// Whatever the phase, and also what is between iterations.
+    /// In every phase, and including the work between iterations.
     #[test]
     fn the_time_of_a_training_goes_on_where_it_was_stopped() {
         let mut log = Log::new();

@@ -158,7 +158,7 @@ mod tests {
         assert!(error.starts_with("the map of colour and opacity needs a buffer of "), "{error}");
         let of = |n| check(&gpu, &options, &[camera(64, 64)], &MeshSource::None, n, 64);
         of(1000).unwrap();
-        // A software adapter takes the host's memory; that of a GPU is not for a test to take.
+        // A software adapter uses host memory; a test must not fill the memory of a GPU.
         if gpu.profile().is_cpu {
             assert!(matches!(of(1 << 50), Err(TrainError::Gpu(e)) if e.is_lack_of_memory()));
         }

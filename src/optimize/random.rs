@@ -60,7 +60,7 @@ mod tests {
             .flat_map(|purpose| (0..3).flat_map(move |seed| (0..1000).map(move |at| first(seed, purpose, at))))
             .collect();
         assert_eq!(drawn.len(), 5 * 3 * 1000);
-        // The splats' clock goes on from phase to phase.
+        // The clock of the splats continues from phase to phase.
         assert_eq!(first(1, Purpose::Step(Surface), 7), first(1, Purpose::Step(Joint), 7));
     }
 
@@ -74,7 +74,7 @@ mod tests {
             sum += x;
             squares += x * x;
         }
-        // Five standard errors: 5/√20000 = 0.035 of the mean, √2 times that of the variance.
+        // Five standard errors: 5/√20000 = 0.035 for the mean, and √2 times that for the variance.
         assert!((sum / n as f32).abs().max_element() < 0.035);
         assert!((squares / n as f32 - 1.0).abs().max_element() < 0.05);
     }

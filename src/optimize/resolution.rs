@@ -57,7 +57,7 @@ mod tests {
             (schedule.scale(99, 1000), schedule.scale(599, 1000), schedule.scale(9999, 1000)),
             (0.25, 0.875, 1.0)
         );
-        // A small picture begins with 32 pixels, a smaller one with what it has.
+        // A small picture begins with 32 pixels, a smaller one with its own size.
         assert_eq!((schedule.scale(0, 64), schedule.scale(300, 64)), (0.5, 0.75));
         assert_eq!((schedule.scale(0, 32), schedule.scale(0, 10), schedule.scale(0, 0)), (1.0, 1.0, 1.0));
         let never = ResolutionSchedule { full_from: 0 };
@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(schedule.max_splats(600, 1000, 2000, 18_000), 18_000);
         let counts: Vec<usize> = (0..=600).map(|t| schedule.max_splats(t, 1000, 2000, 18_000)).collect();
         assert!(counts.is_sorted());
-        // Already more than there may be.
+        // The number is already above the limit.
         assert_eq!(schedule.max_splats(0, 1000, 20, 10), 10);
     }
 }

@@ -307,7 +307,7 @@ mod tests {
         for (t, rate) in [(0, 1e-2), (15_000, 1e-2 / 10f32.sqrt()), (30_000, 1e-3)] {
             assert!((long.exposure_rate(t, 200) / rate - 1.0).abs() < 1e-6, "{t}");
         }
-        // A view that is seen half as often moves twice as far each time, but never more than ten times.
+        // A view that is seen half as often moves twice as far each time, but at most ten times as far.
         assert!((Schedule::new(30_000).exposure_rate(0, 400) - 2e-2).abs() < 1e-8);
         assert!((Schedule::new(100).exposure_rate(0, 50) - 0.1).abs() < 1e-7);
         assert!((Schedule::new(30_000).exposure_rate(0, 10) - 1e-2).abs() < 1e-8);
@@ -326,7 +326,7 @@ mod tests {
         assert_eq!(during(&joint, Schedule::resets_opacity_after), [18_000, 21_000]);
         assert!(joint.freezes_mesh_opacity(18_100) && !joint.freezes_mesh_opacity(18_300));
         assert!(!joint.freezes_mesh_opacity(15_001), "the phase before reset nothing there");
-        // MCMC's goes on anyway, and what is short stays in order.
+        // MCMC density control continues anyway; a short schedule stays in order.
         let mcmc = Schedule::new(30_000).for_mcmc();
         assert_eq!(mcmc.handed_over(15_000), Schedule { opacity_reset_from: 15_000, ..mcmc });
         assert!(Schedule::new(20).handed_over(20).densify_until <= 20);
@@ -351,7 +351,7 @@ mod tests {
         for (iterations, views) in [(30_000, 200), (1000, 42)] {
             let of_view =
                 (0..iterations).map(|t| f64::from(pose_rate(t, iterations, views, 0.03))).sum::<f64>() / views as f64;
-            // But for the beginning, when they rest.
+            // Except for the beginning, when the poses are fixed.
             assert!((0.02..0.03).contains(&of_view), "{of_view}");
         }
         assert_eq!([0, 49].map(|t| pose_rate(t, 1000, 42, 0.03)), [0.0; 2]);
@@ -428,14 +428,15 @@ mod tests {
         let resets = |s: Schedule| (0..=30_000).filter(|&t| s.resets_opacity_after(t)).collect::<Vec<_>>();
         assert_eq!(resets(s), [3000, 6000, 9000, 12_000]);
         assert_eq!(resets(s.with_white_background()), [500, 3000, 6000, 9000, 12_000]);
-        // A surface sees splats that are opaque again.
+        // Surface extraction happens after opacities have recovered from a reset.
         assert_eq!(resets(s.before_surface(15_000)), [3000, 6000, 9000, 12_000]);
         assert_eq!([6000, 4600, 4400].map(|at| resets(s.before_surface(at)).len()), [1, 1, 0]);
         assert!(resets(s.with_white_background().before_surface(1500)).is_empty());
         assert_eq!([999, 1000, 2999, 3000, 30_000].map(|t| s.sh_degree(t, 3)), [0, 1, 2, 3, 3]);
         assert_eq!(s.sh_degree(30_000, 1), 1);
         assert!(!s.prunes_large(3000) && s.prunes_large(3001));
-        // Not before opacities have been reset: in the first half of 6,000 a surface leaves room for one reset, in that of 3,000 for none.
+        // Not before an opacity reset: a surface phase leaves room for one reset in the first half of 6,000 iterations,
+        // and for none in that of 3,000.
         let [after, instead] = [3000, 1500].map(|at| Schedule::new(2 * at).handed_over(at).prune_large_from);
         assert_eq!((after, instead), (Some(1000), Some(2000)));
         assert_eq!((Schedule::new(2999).prune_large_from, s.for_mcmc().prune_large_from), (None, None));
@@ -498,7 +499,7 @@ mod tests {
     #[test]
     fn vertices_come_no_farther_in_longer_phases() {
         let reach = |n, side| (0..n).filter_map(|t| vertex_step(t, n, side)).map(|step| step.rate).sum::<f32>();
-        // Adam has seen nothing before.
+        // Adam's step number starts at 1.
         let number = |t, n| vertex_step(t, n, 176).map(|step| step.number);
         assert_eq!([0, 59, 60, 479].map(|t| number(t, 480)), [None, None, Some(1), Some(420)]);
         assert_eq!([1, 2, 12].map(|t| number(t, 13)), [None, Some(1), Some(11)], "not before an eighth is over");

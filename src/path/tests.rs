@@ -21,7 +21,7 @@ fn forward(camera: &Camera) -> DVec3 {
     camera.rotation().row(2)
 }
 
-/// Eight views on a circle of radius 3, 1 above `FOCUS`, upright.
+/// Eight upright views on a circle of radius 3, 1 above `FOCUS`.
 const FOCUS: DVec3 = DVec3::new(5.0, -1.0, 2.0);
 const UP: DVec3 = DVec3::new(0.0, -1.0, 0.0);
 
@@ -76,7 +76,7 @@ fn an_orbit_follows_a_tilted_ring_but_not_a_wall() {
     let tilted: Vec<Camera> = ring().iter().map(|c| view(tilt * c.center(), tilt * FOCUS, UP)).collect();
     let axis = Rig::of(&tilted).unwrap().orbit_axis();
     assert!(axis.abs_diff_eq(tilt * UP, 1e-9), "{axis}");
-    // Views side by side and above each other: their plane stands upright.
+    // Views in a grid of rows and columns: the plane of the path is vertical.
     let wall: Vec<Camera> = (0..9)
         .map(|i| view(DVec3::new(f64::from(i % 3), f64::from(i / 3), 0.0), DVec3::new(1.0, 1.0, 5.0), UP))
         .collect();
@@ -106,10 +106,10 @@ fn a_figure_of_eight_crosses_itself_in_the_mean_view() {
         assert!(found[i].center().abs_diff_eq(expected, 1e-9), "{i}: {}", found[i].center());
         assert!(forward(&found[i]).abs_diff_eq(-expected.normalize(), 1e-9));
     }
-    // Without options: as wide as the views spread, seen at the mean distance.
+    // Without options, the path is as wide as the spread of the views, at their mean distance.
     let own = lemniscate(&views, &Around::default(), &frames(4)).unwrap();
     assert!((own[1].center().x - 1.0).abs() < 1e-9, "{}", own[1].center());
-    // All around, the mean of the views is no view.
+    // For views all around, the mean view is undefined, and the first is used.
     let around = lemniscate(&ring(), &Around::default(), &frames(4)).unwrap();
     assert!(around[0].center().abs_diff_eq(ring()[0].center(), 1e-9));
 }
@@ -134,7 +134,8 @@ fn a_spline_is_smooth_evenly_paced_and_goes_through_its_keys() {
     let closed = Spline { keys: None, closed: true };
     let found = spline(&ring, &closed, &frames(800)).unwrap();
     for (i, camera) in found.iter().enumerate() {
-        // Eight keys to a circle: between them a Catmull–Rom spline is (9 cos 22.5° − cos 67.5°) / 8 of it away.
+        // Eight keys on a circle: between keys, a Catmull–Rom spline deviates by (9 cos 22.5° − cos 67.5°) / 8 of the
+        // radius.
         let offset = camera.center() - FOCUS;
         assert!(((offset - UP * offset.dot(UP)).length() - 3.0).abs() < 0.026 && (offset.dot(UP) - 1.0).abs() < 1e-9);
         assert!((forward(camera) + offset.normalize()).length() < 0.01, "{i}");
@@ -142,7 +143,7 @@ fn a_spline_is_smooth_evenly_paced_and_goes_through_its_keys() {
         let step = b.center() - a.center();
         let first = found[1].center().distance(found[0].center());
         assert!((step.length() / first - 1.0).abs() < 1e-3, "{i}: {}", step.length());
-        // Neither velocity jumps, at keys as little as elsewhere.
+        // Velocity is continuous, at keys as well as between them.
         let bend = (c.center() - b.center() - step).length() / step.length();
         assert!(bend < 0.02, "{i}: {bend}");
         let turn =
@@ -156,12 +157,12 @@ fn a_spline_is_smooth_evenly_paced_and_goes_through_its_keys() {
                 && found[i * 100].rotation().abs_diff_eq(key.rotation(), 1e-3)
         );
     }
-    // Four keys of eight are every other one.
+    // Four keys out of eight are every other one.
     let some = spline(&ring, &Spline { keys: Some(4), closed: true }, &frames(4)).unwrap();
     assert!((0..4).all(|i| some[i].center().abs_diff_eq(ring[2 * i].center(), 1e-6)));
 }
 
-/// A shot whose last frame is its first but for rounding, or that rests somewhere, goes round as if it did not.
+/// A closed path stays smooth if its last key repeats the first up to rounding, or if another key is repeated.
 #[test]
 fn keys_that_are_nearly_one_make_no_corner() {
     let closed = Spline { keys: None, closed: true };
@@ -221,7 +222,7 @@ fn degenerate_views_give_a_reason_or_a_path_but_no_nan() {
         assert_eq!(reason(&[]), PathError::TooFew { expected: 1, found: 0 });
         for views in [&one[..], &parallel, &facing, &same] {
             assert_eq!(reason(views), PathError::NoFocus);
-            // With the focus stated there is a path, from one view too.
+            // With a given focus there is a path even for a single view.
             let found = around(views, &at_focus, &frames(5)).unwrap();
             assert!(all_finite(&found) && found.iter().all(|c| c.to_camera(DVec3::Z * 2.0).z > 0.0));
         }
@@ -258,7 +259,7 @@ fn eigenvectors_are_those_of_the_matrix() {
     }
 }
 
-/// Whatever floats far away, or cannot be seen.
+/// Ignoring outlying splats and invisible ones.
 #[test]
 fn a_scene_without_views_is_seen_from_around_it() {
     let middle = DVec3::new(10.0, -3.0, 5.0);
@@ -286,7 +287,7 @@ fn a_scene_without_views_is_seen_from_around_it() {
         assert!((view.center() - middle).y < 0.0 && view.rotation().row(1).y > 0.9);
         assert!((forward(view).cross(middle - view.center())).length() < 0.2);
     }
-    // Paths are made of them as of any.
+    // Paths can be computed from these views as from any others.
     let again = orbit(&views, &Around::default(), &frames(8)).unwrap();
     assert!(again.iter().zip(&views).all(|(a, b)| a.center().abs_diff_eq(b.center(), 1e-6)));
     assert!(all_finite(&spline(&views, &Spline { keys: None, closed: true }, &frames(20)).unwrap()));

@@ -1,4 +1,4 @@
-//! Random scenes for the tests of the reference and of the GPU renderer, and how far numbers are apart.
+//! Random scenes for the tests of the reference and of the GPU renderer, and differences of numbers.
 
 use glam::{DMat3, DQuat, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -6,12 +6,12 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh};
 
-/// Largest of `magnitudes`, of which there must be some; NaN if one is, which `f64::max` would drop.
+/// Largest of at least one magnitude; NaN if one is NaN, which `f64::max` would ignore.
 pub(crate) fn largest(magnitudes: impl IntoIterator<Item = f64>) -> f64 {
     magnitudes.into_iter().max_by(f64::total_cmp).unwrap()
 }
 
-/// A camera with different focal lengths and an off-centre principal point, turned by up to 0.3 rad, and a function
+/// A camera with different focal lengths and an off-centre principal point, rotated by up to 0.3 rad, and a function
 /// from its camera space to world space.
 fn random_camera(rng: &mut Pcg64Mcg, width: u32, height: u32) -> (Camera, impl Fn(DVec3) -> Vec3 + use<>) {
     let w = f64::from(width);
@@ -53,7 +53,8 @@ fn random_texture(
     Texture::new(size[0], size[1], channels, texels).unwrap()
 }
 
-/// A grid of `cells` quads with UVs over the whole atlas (and a little beyond its border), `place`d in world space.
+/// A grid of `cells` quads with UVs over the whole atlas (and slightly beyond its border), mapped to world space by
+/// `place`.
 pub(crate) fn grid_mesh(cells: [u32; 2], atlas: Atlas, place: impl Fn(f64, f64) -> Vec3) -> Mesh {
     let uv = |x: u32, y: u32| Vec2::new(x as f32 / cells[0] as f32, y as f32 / cells[1] as f32);
     let corner = |x: u32, y: u32| y * (cells[0] + 1) + x;
@@ -86,8 +87,8 @@ fn random_atlas(rng: &mut Pcg64Mcg, sh_degree: u32, opacity_logit: f32) -> Atlas
 
 /// `n_splats` splats and `n_meshes` wavy sheets or spheres in front of a 96×72 camera, depths 2 to 7.
 ///
-/// Splats lie before, in and behind the meshes, some outside the image, some nearly opaque; textures are 32 to 64
-/// texels a side with mips, minified by the more distant meshes, and partly transparent.
+/// Splats are in front of, inside and behind the meshes, some outside the image, some nearly opaque; textures have
+/// sides of 32 to 64 texels with mips, are minified by the more distant meshes, and are partly transparent.
 pub(crate) fn random_scene(
     seed: u64,
     n_splats: usize,
@@ -147,8 +148,8 @@ pub(crate) fn random_scene(
 }
 
 /// A scene in which every parameter has a derivative and finite differences cross no threshold: 24×18 pixels, five
-/// splats each so wide that its alpha is above the cut in every pixel and below the cap, colours away from 0, SH
-/// degree 3, and as many sheets as `layers`, two at least, the second minified so that it is sampled between mips 1 and 3.
+/// splats each so wide that its alpha is above the cut-off in every pixel and below the cap, colours away from 0, SH
+/// degree 3, and `layers` sheets but at least two, the second minified so that it is sampled between mips 1 and 3.
 pub(crate) fn smooth_scene(seed: u64, layers: u32, mode: OrderMode) -> (HybridScene, Camera) {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let (camera, to_world) = random_camera(&mut rng, 24, 18);
@@ -179,7 +180,8 @@ pub(crate) fn smooth_scene(seed: u64, layers: u32, mode: OrderMode) -> (HybridSc
     (HybridScene { splats, meshes, composition }, camera)
 }
 
-/// The same, but the alpha of one is capped around its middle, where its shape and opacity have no derivative.
+/// The same splats, except that the alpha of splat `which` is capped around its centre, where its shape and opacity
+/// have no derivative.
 pub(crate) fn nearly_opaque(splats: &Splats, which: usize) -> Splats {
     let mut logits = splats.opacity_logits().to_vec();
     logits[which] = 8.0;
@@ -188,8 +190,8 @@ pub(crate) fn nearly_opaque(splats: &Splats, which: usize) -> Splats {
         .unwrap()
 }
 
-/// A tilted sheet through which a splat is turned: the paper's figure. The mean lies just behind the sheet at its own
-/// projection. On the ray of a neighbouring pixel the sheet is farther than the mean. With the two pixels.
+/// A tilted sheet that is pierced by a splat: the paper's figure. At its own projection the mean is just behind the
+/// sheet. On the ray of a neighbouring pixel the sheet is farther than the mean. Also returns the two pixels.
 pub(crate) fn two_rays(mode: OrderMode) -> (HybridScene, Camera, [usize; 2]) {
     let red = vec![[2.0, -2.0, -2.0_f32]];
     let splats = Splats::new(
@@ -201,7 +203,7 @@ pub(crate) fn two_rays(mode: OrderMode) -> (HybridScene, Camera, [usize; 2]) {
         red,
     )
     .unwrap();
-    // z = 3 + x/2, opaque.
+    // The opaque sheet z = 3 + x/2.
     let corner = |x: f32, y: f32| Vec3::new(x, y, 3.0 + 0.5 * x);
     let mut base = Texture::zeros(1, 1, 4).texels().to_vec();
     base[3] = 100.0;

@@ -268,7 +268,7 @@ mod tests {
     fn what_is_in_the_picture() {
         let camera = pose(DMat3::IDENTITY).unwrap();
         assert_eq!(camera.in_picture(DVec3::new(0.5, -0.5, 1.0)), Some(DVec2::new(3.0, 0.5)));
-        // Its left upper corner belongs to it, its right and lower sides do not.
+        // The picture includes its upper left corner, but not its right and lower sides.
         assert_eq!(camera.in_picture(DVec3::new(-1.0, -0.75, 1.0)), Some(DVec2::ZERO));
         for outside in [[1.0, 0.0, 1.0], [0.0, 0.75, 1.0], [0.0, 0.0, -1.0], [0.0; 3], [f64::NAN, 0.0, 1.0]] {
             assert_eq!(camera.in_picture(DVec3::from(outside)), None, "{outside:?}");
@@ -284,11 +284,11 @@ mod tests {
             assert!(camera.center().abs_diff_eq(center, 1e-12), "{up}");
             let seen = camera.to_camera(target);
             assert!(camera.project(seen).abs_diff_eq(DVec2::new(100.0, 50.0), 1e-9) && seen.z > 0.0, "{up}: {seen}");
-            // Neither to the left nor to the right of it, and higher: y is down.
+            // The up direction is neither to the left nor to the right, and points upwards: y is down.
             let above = camera.rotation() * up;
             assert!(above.x.abs() < 1e-12 && above.y < 0.0, "{up}: {above}");
         }
-        // Straight down no side is level.
+        // Looking straight down, no direction in the picture is level.
         for up in [DVec3::ZERO, target - center, center - target] {
             let camera = Camera::look_at(lens, center, target, up).unwrap();
             assert!(camera.to_camera(target).truncate().length() < 1e-12, "{up}");
@@ -306,7 +306,7 @@ mod tests {
         let lens = Intrinsics::from_fov_y(300, 100, right_angle);
         assert!((lens.fx - 50.0).abs() < 1e-12 && lens.fx == lens.fy && (lens.cx, lens.cy) == (150.0, 50.0));
         assert!((lens.fov_y() - right_angle).abs() < 1e-12);
-        // The edge is three focal lengths aside.
+        // The edge is at three focal lengths.
         assert!(((0.5 * lens.fov_x()).tan() - 3.0).abs() < 1e-12);
         for impossible in [0.0, -1.0, std::f64::consts::PI, f64::NAN] {
             let lens = Intrinsics::from_fov_y(300, 100, impossible);
@@ -318,7 +318,7 @@ mod tests {
     fn only_rotations_are_poses() {
         let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7);
         let found = pose(turn * DMat3::from_diagonal(DVec3::splat(1.003))).unwrap().rotation();
-        // What is off in a file moves the rotation by as much at most, and stays a rotation.
+        // Errors in a file change the rotation by at most their size, and it stays a rotation.
         assert!(found.abs_diff_eq(turn, 0.01) && (found * found.transpose()).abs_diff_eq(DMat3::IDENTITY, 1e-12));
         // Both have determinant 1.
         let stretched = turn * DMat3::from_diagonal(DVec3::new(2.0, 0.5, 1.0));

@@ -65,7 +65,7 @@ mod tests {
         let intrinsics = Intrinsics { width: 4, height: 3, fx: 2.0, fy: 2.0, cx: 2.0, cy: 1.5 };
         let camera = Camera::new(intrinsics, rotation, DVec3::new(0.5, -1.0, 2.0)).unwrap();
         let node = node_of_camera(&camera);
-        // It looks along its −z, and its y is up in the picture.
+        // The node looks along its −z, and its y is up in the picture.
         let ahead = camera.to_camera(camera.center() + node * DVec3::NEG_Z);
         let above = camera.to_camera(camera.center() + node * DVec3::Y);
         assert!(ahead.abs_diff_eq(DVec3::Z, 1e-12) && above.abs_diff_eq(DVec3::NEG_Y, 1e-12), "{ahead} {above}");

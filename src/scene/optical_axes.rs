@@ -62,7 +62,7 @@ mod tests {
         let centers = [DVec3::ZERO, DVec3::new(5.0, 0.0, 1.0), DVec3::new(0.0, 6.0, -2.0)];
         let axes = OpticalAxes::of(&centers.map(|c| looking(c, focus)));
         assert!(axes.meeting_point().unwrap().abs_diff_eq(focus, 1e-9));
-        // What is expected pulls by its weight of a thousandth, along the axes most of all.
+        // The expected point has a weight of one thousandth, and moves the result mostly along the axes.
         assert!(axes.meeting_point_near(focus).abs_diff_eq(focus, 1e-9));
         assert!(axes.meeting_point_near(DVec3::ZERO).distance(focus) > 0.1);
     }

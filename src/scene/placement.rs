@@ -202,7 +202,7 @@ mod tests {
             }
             assert_eq!((after.means[0], after.rotations[0]), (before.means[0], before.rotations[0]));
         }
-        // An axis without length stays the shortest, and finite.
+        // An axis of length zero remains the shortest, and finite.
         let (rotation, log_scale) = stretched(DMat3::from_mat4(sheared), Quat::IDENTITY, Vec3::new(0.0, -1e30, -3.0));
         assert!(rotation.is_finite() && log_scale.is_finite() && log_scale.y < log_scale.z, "{log_scale}");
     }

@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
-"""What becomes of our files in Blender: check_blender.py CENTAUR HYBRID.glb FOLDER, run by a Python that has `bpy`.
+"""Checks our files in Blender: check_blender.py CENTAUR HYBRID.glb FOLDER, run by a Python that has `bpy`.
 
-* `centaur convert HYBRID.glb scene.blend.py`: the script renders, saves, and says in one line what is wrong.
-* Flat splats are there in every construction.
-* A saved .blend builds its splats anew when its camera moves, for animations and for stills.
-* Run in the text editor again, the script replaces what it has built; the text that it stores builds nothing.
-* The stock importer takes HYBRID.glb: nothing is lost but the splats' shapes, and the mesh looks as ours does in linear light.
+* `centaur convert HYBRID.glb scene.blend.py`: the script renders, saves, and reports errors in one line.
+* Flat splats are visible in every construction.
+* A saved .blend rebuilds its splats when its camera moves, for animations and for stills.
+* Run again in the text editor, the script replaces what it has built; the text that it stores builds nothing.
+* The stock importer reads HYBRID.glb: only the splats' shapes are lost, and the mesh looks as ours does in linear
+light.
 
-How exact pictures are is compared elsewhere, with renderers that owe nothing to Blender. Every check runs in a process of
-its own, since `bpy` can be imported once.
+The accuracy of pictures is checked elsewhere, with renderers that are independent of Blender. Every check runs in a
+separate process, since `bpy` can be imported only once.
 """
 import json
 import pathlib
@@ -34,15 +35,15 @@ def run(command, expect=0):
 
 
 def inside(step, *arguments):
-    """Runs a step of this file in a process of its own; what it returns, by way of JSON."""
+    """Runs a step of this file in a separate process; returns its result, passed as JSON."""
     done = run([sys.executable, __file__, f"--{step}", *arguments])
     return json.loads(done.stdout.split("RESULT ", 1)[1].splitlines()[0])
 
 
-# --- steps, each in a process of its own ---
+# --- steps, each in a separate process ---
 
 def read_picture(path):
-    """[h, w, 4] of an EXR, from the top."""
+    """Reads an EXR as [h, w, 4], from the top."""
     import bpy
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
@@ -87,7 +88,7 @@ def step_import(glb, picture):
 
 
 def step_own(script, blend, picture):
-    """Renders in a file whose settings would show something else."""
+    """Renders in a file whose own settings would give another picture."""
     import bpy
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, layer = bpy.context.scene, bpy.context.view_layer
@@ -102,7 +103,8 @@ def step_own(script, blend, picture):
 
 
 def step_reopen(blend, folder):
-    """Opens a saved .blend, renders two frames of its path, moves the camera, renders a still, and again when splats have changed."""
+    """Opens a saved .blend, renders two frames of its path, moves the camera, renders a still, and again after splats
+    have changed."""
     import bpy
     bpy.ops.wm.open_mainfile(filepath=blend, use_scripts=True)
     scene = bpy.context.scene
@@ -131,7 +133,8 @@ def step_reopen(blend, folder):
 
 
 def step_text(script, blend):
-    """Runs the script twice as a text of a file, the second time with another near plane, and opens that file at another scene."""
+    """Runs the script twice as a text of a file, the second time with another near plane, and opens that file with
+    another scene."""
     import bpy
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.save_as_mainfile(filepath=blend)
@@ -162,7 +165,7 @@ def step_text(script, blend):
 # --- the checks ---
 
 def check_script(centaur, glb, folder):
-    """Builds in every construction, in one process each; what it cannot do is one line."""
+    """Builds in every construction, in one process each; unsupported requests give one line."""
     script = folder / "scene.blend.py"
     run([*centaur, "convert", glb, script])
     python = [sys.executable, script]
@@ -205,9 +208,10 @@ def check_parts(centaur, glb, folder):
 
 
 def check_flat(centaur, folder):
-    """Splats without thickness, one across the view and one aslant, look in all constructions as models differ."""
+    """Splats without thickness, one across the view and one at an angle, differ between constructions as the image
+    models do."""
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
-    shape = [1, 0, -1, 2, -1.5, -1.5, -200]  # colour, logit of opacity, logarithms of scales
+    shape = [1, 0, -1, 2, -1.5, -1.5, -200]  # colour, opacity logit, logarithms of scales
     rows = np.array([[-0.5, 0, 0, *shape, 1, 0, 0, 0], [0.5, 0, 0, *shape, 0.9, 0.3, 0.2, 0]], "<f4")
     header = ["ply", "format binary_little_endian 1.0", "element vertex 2", *(f"property float {name}" for name in names), "end_header\n"]
     (folder / "flat.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
@@ -220,7 +224,7 @@ def check_flat(centaur, folder):
 
 
 def check_size(centaur, glb, folder):
-    """A scene in other units is the same picture, after `check_script`."""
+    """A scene in other units gives the same picture, after `check_script`."""
     large = folder / "large.blend.py"
     run([*centaur, "convert", glb, large, "--scale", "1000000"])
     run([sys.executable, large, "--render", folder / "large.exr"])
@@ -230,7 +234,7 @@ def check_size(centaur, glb, folder):
 
 
 def check_own(script, folder):
-    """In a .blend of the user's the picture is the same, after `check_script`."""
+    """In the user's own .blend the picture is the same, after `check_script`."""
     inside("own", script, folder / "own.blend", folder / "own.exr")
     same = inside("compare", folder / "ewa.exr", folder / "own.exr")["psnr"]
     assert same > 80, f"settings of the file change the picture: {same:.1f} dB"
@@ -238,17 +242,17 @@ def check_own(script, folder):
 
 
 def check_text(script, folder):
-    """In the text editor, after `check_script`."""
+    """Checks the text editor, after `check_script`."""
     found = inside("text", script, folder / "text.blend")
     assert found == {"is replaced": True, "is stored": True, "roots": 1, "listening": 1, "is spared": True}, found
     print("in the text editor: replaces what it has built; what it stores builds nothing")
 
 
 def check_names(script, folder):
-    """Of two cameras the second has the same picture by its number and by its name."""
+    """The second of two cameras gives the same picture by its number and by its name."""
     head, told, rest = re.split(r"r\'\'\'(.*)\'\'\'", script.read_text(), maxsplit=1)
     scene = json.loads(told)
-    scene["cameras"][1]["name"] = "path"  # that of `centaur cameras --with-scene`, not the camera of --path
+    scene["cameras"][1]["name"] = "path"  # the name used by `centaur cameras --with-scene`, not the camera of --path
     named = folder / "named.blend.py"
     named.write_text(f"{head}r'''{json.dumps(scene)}'''{rest}")
     for camera in ("0", "1", "path"):
@@ -258,8 +262,8 @@ def check_names(script, folder):
 
 
 def check_blend(centaur, glb, folder):
-    """A .blend lives on without the script and the files beside it."""
-    # Two cameras: of the scene, and of the scene turned.
+    """A .blend keeps working without the script and the files beside it."""
+    # Two cameras: the scene's own, and a rotated one.
     run([*centaur, "convert", glb, folder / "turned.glb", "--rotate", "10,40,0"])
     script = folder / "path.blend.py"
     run([*centaur, "convert", glb, folder / "turned.glb", script])
@@ -268,7 +272,7 @@ def check_blend(centaur, glb, folder):
     check_names(script, folder)
     alone = folder / "alone"
     alone.mkdir(exist_ok=True)
-    # Nothing moves but along the path: one frame, and for one camera; in a folder that it makes.
+    # Only the camera path is animated: one frame, for one camera; in a folder that is created.
     stills = folder / "stills"
     shutil.rmtree(stills, ignore_errors=True)
     run([sys.executable, script, "--frame", "all", "--render", stills / "still.png"])
@@ -286,7 +290,8 @@ def check_blend(centaur, glb, folder):
 
 
 def check_import(glb, script, folder):
-    """The mesh of a .glb as Blender's own importer shows it: in linear light, of 8 bits, without view dependence."""
+    """The mesh of a .glb as displayed by Blender's own importer: in linear light, with 8 bits, without view
+    dependence."""
     found = inside("import", glb, folder / "import.exr")
     assert sorted(faces > 0 for _, _, faces in found["meshes"]) == [False, True] and found["cameras"] >= 1, found
     assert all(vertices > 0 for _, vertices, _ in found["meshes"]), found

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Whether scenes that move are in Blender where Centaur has them: python check_motion.py CENTAUR FOLDER SCENE...
+"""Checks that animated scenes in Blender match Centaur: python check_motion.py CENTAUR FOLDER SCENE...
 
-Runs under a Python that has bpy. Of each scene, and of one of splats on a node that is stretched, the .blend.py is run and saved, the
-.blend opened, and at three frames of it every vertex and splat compared with `centaur convert --time`: the largest distance must be at most
-1e-5 of the scene's extent, and covariances within 1e-5 of their largest entry. Splats must be there too where meshes are not shown. A picture
-of a texture on a node that is moved and scaled must be the one without motion, which is filtered right, within 60 dB.
+Runs under a Python that has bpy. For each scene, and for one with splats on a node that is stretched, the .blend.py is
+run and saved, the .blend opened, and at three frames every vertex and splat is compared with `centaur convert --time`:
+the largest distance must be at most 1e-5 of the scene's extent, and covariances must agree within 1e-5 of their largest
+entry. Splats must also be there if meshes are not shown. A picture of a texture on a node that is moved and scaled must
+match the one without motion, which is known to be filtered correctly, within 60 dB.
 """
 import base64
 import json
@@ -21,7 +22,7 @@ LEAST_PSNR = 60
 
 
 def write_stretched(path):
-    """30 splats on a turned node that grows along one axis, shrinks along another and is mirrored in the end."""
+    """Writes 30 splats on a rotated node that grows along one axis, shrinks along another and is finally mirrored."""
     random, n, khr = np.random.default_rng(0), 30, "KHR_gaussian_splatting"
     rotations = random.normal(size=(n, 4))
     arrays = [
@@ -41,7 +42,8 @@ def write_stretched(path):
 
 
 def write_quad(path):
-    """A quad with a texture finer than pixels on a turned node, which moves and has scales far from 1 and from each other."""
+    """Writes a quad with a texture finer than pixels on a rotated node, which moves and has scales far from 1 and from
+    each other."""
     image = bpy.data.images.new("noise", 128, 128)
     texels = np.ones((128, 128, 4), np.float32)
     texels[..., :3] = np.random.default_rng(0).uniform(size=(128, 128, 3))
@@ -65,7 +67,7 @@ def write_quad(path):
 
 
 def write_gltf(path, document, arrays):
-    """A glTF with an accessor of each array, floats or indices."""
+    """Writes a glTF with an accessor for each array of floats or indices."""
     ends = np.cumsum([array.nbytes for array in arrays])
     kinds = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
     content = base64.b64encode(b"".join(array.tobytes() for array in arrays)).decode()
@@ -98,7 +100,7 @@ def splats(script):
 
 
 def functions_of(script):
-    """What a script defines, by name."""
+    """Functions defined by a script, by name."""
     functions = {"__name__": script.name, "__file__": str(script)}
     exec(compile(script.read_text(), script.name, "exec"), functions)
     return functions
@@ -113,7 +115,7 @@ def build(script, *arguments):
 
 
 def splats_in_blender(script):
-    """The same of an open .blend, at its frame, by the functions of the script that it is of."""
+    """Means and covariances of the splats in an open .blend, at its frame, by the functions of its script."""
     functions = functions_of(script)
     root, _ = functions["find_root"]()
     data = next((c for c in root.children if c.get("centaur") == "splat data"), None)
@@ -125,7 +127,7 @@ def splats_in_blender(script):
 
 
 def surfaces(script):
-    """Vertices of every mesh beside a script: x y z s t of 32 bits each."""
+    """Vertices of every mesh beside a script: x y z s t with 32 bits each."""
     found = []
     stem = script.name.removesuffix(".blend.py") + "_mesh"
     number = lambda path: int(path.stem.removeprefix(stem))
@@ -137,7 +139,7 @@ def surfaces(script):
 
 
 def in_blender():
-    """The same of the meshes of an open .blend, at its frame."""
+    """Vertices of the meshes in an open .blend, at its frame."""
     root = next(o for o in bpy.context.scene.objects if str(o.get("centaur", "")).startswith("{"))
     depsgraph, found = bpy.context.evaluated_depsgraph_get(), {}
     for thing in root.children:
@@ -153,7 +155,7 @@ def in_blender():
 
 
 def picture(script):
-    """RGBA [h, w, 4] of an open .blend, in a tenth of its size."""
+    """RGBA [h, w, 4] of an open .blend, at a tenth of its size."""
     functions = functions_of(script)
     bpy.context.scene.render.resolution_percentage = 10
     functions["refresh"]()
@@ -162,7 +164,7 @@ def picture(script):
 
 
 def psnr_of_quad(run, centaur, folder):
-    """Of pictures of the quad, moving and still."""
+    """PSNR between pictures of the moving and the resting quad."""
     scene, script, still = (folder / name for name in ("quad.gltf", "quad.blend.py", "quad-still.blend.py"))
     write_quad(scene)
     run(*centaur, "convert", scene, script, "--quiet")
@@ -194,7 +196,7 @@ def main():
             time = motion["start"] + (frame - 1) / motion["fps"]
             posed = folder / f"{scene.stem}-{frame}.blend.py"
             run(*centaur, "convert", scene, posed, "--time", repr(time), "--quiet")
-            # Opened anew, as reading the scene before it has closed all others.
+            # Opened again, since reading the previous scene has closed all others.
             bpy.ops.wm.open_mainfile(filepath=str(blend), use_scripts=False)
             bpy.context.scene.frame_set(frame)
             ours, theirs = surfaces(posed), in_blender()
@@ -206,7 +208,7 @@ def main():
             ours, theirs = [*ours, means], [*theirs, their_means]
             extent = np.ptp(np.concatenate(ours), axis=0).max()
             apart = [np.abs(a - b).max(initial=0) if a.shape == b.shape else np.inf for a, b in zip(ours, theirs, strict=True)]
-            # Unlike `max`, numpy's keeps what is not a number.
+            # Unlike `max`, numpy's maximum propagates NaN.
             error = np.max(apart) / extent
             stretched = np.abs(shapes - their_shapes).max((1, 2)) / np.abs(shapes).max((1, 2))
             errors += [error, stretched.max(initial=0)]

@@ -24,31 +24,32 @@ import report
 from composition import Asset, contract_of
 from posed import Posed
 
-# Least PSNR in dB with a peak of 1: (renderer, its construction) -> by what is in the scene.
+# Least PSNR in dB for a peak of 1: (renderer, its construction) -> by content of the scene.
 GATES = {
     "mitsuba": {"meshes": 70, "few": 80, "many": 65},
     "blender cap": {"meshes": 70, "few": 60, "many": 60},
     "blender ewa": {"meshes": 70, "few": 75, "many": 75},
     "numpy": {"meshes": 80, "few": 80, "many": 80},
-    # Mitsuba without our plug-ins: it orders splats by where rays enter them, and draws rays at random within a pixel.
+    # Mitsuba without our plug-ins orders splats by the entry points of rays, and draws rays at random within a pixel.
     "mitsuba stock": {"few": 33, "many": 28},
 }
-# Of splats alone and of meshes alone, whatever the program, but for what draws no layers.
+# Limits for splats alone and for meshes alone, for all programs that render layers.
 LAYER_GATE = 50
 LAYERS = ["splats", "mesh"]
 WITHOUT_LAYERS = ["mitsuba stock"]
-# In Cycles a ray through the common edge of two facets of a `cap` meets both or neither: one to three pixels a picture. So many with
-# an error above 0.01 are counted and left out of what its gates are held to; `psnr` is of all.
+# In Cycles a ray through the common edge of two facets of a `cap` hits both or neither: one to three pixels per
+# picture. This many pixels with an error above 0.01 are counted and left out for its limits; `psnr` includes all.
 CAP_EDGES = 5
-# What splats and meshes contribute must be the picture, up to this.
+# Largest difference between the picture and the sum of the contributions of splats and meshes.
 SUM_LIMIT = 1e-5
-# More splats than this are many.
+# Number of splats above which a scene counts as large.
 FEW = 1000
-# Left out of --quick, for the time that they take.
+# Left out by --quick because they are slow.
 SLOW = ["hybrid10k", "trained"]
-# Scenes whose surfaces Cycles does not show as they are meant: it shows all along a ray, not the nearest, and has no `stable` order.
+# Scenes whose surfaces Cycles cannot show as intended: it shows all along a ray, not the nearest, and has no `stable`
+# order.
 NOT_CYCLES = ["nearest", "trained"]
-# Scenes that move: when they are compared, in seconds; a frame at Blender's FPS.
+# Animated scenes, with the times of comparison in seconds: frames at Blender's FPS.
 TIMES = {"head": 0.8}
 FPS = 30
 # Cameras of a scene that are compared.
@@ -56,7 +57,7 @@ MOST_CAMERAS = 2
 
 
 def run(command, timeout=1800):
-    """Runs a program; on failure, the last line of what it says is the reason."""
+    """Runs a program; on failure, the last line of its output is the reason."""
     started = time.time()
     done = subprocess.run([str(c) for c in command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=timeout)
     if done.returncode:
@@ -66,7 +67,7 @@ def run(command, timeout=1800):
 
 
 def read(path):
-    """{"": RGBA, "splats": RGBA, "mesh": RGBA} of an EXR, [h, w, 4], as far as it has them."""
+    """Reads an EXR as {"": RGBA, "splats": RGBA, "mesh": RGBA}, [h, w, 4], as far as it contains these."""
     channels = {}
     with OpenEXR.File(str(path), separate_channels=True) as file:
         for part in file.parts:
@@ -89,7 +90,8 @@ def read_rgb(path):
 
 
 def place(folder, name):
-    """Where a picture goes, without one of a former run: that would be compared where a program ends well and writes none."""
+    """Path of a picture, after removing one of an earlier run: it would be compared if a program succeeds without
+    writing one."""
     picture = folder / name
     picture.unlink(missing_ok=True)
     return picture
@@ -126,7 +128,7 @@ def by_mitsuba(centaur, scene, cameras, out):
 
 
 def by_stock_mitsuba(centaur, scene, cameras, out):
-    """Splats over black, decoded from sRGB where they are blended in it: encoded once more here."""
+    """Renders splats over black; pictures blended in sRGB are stored decoded, and are encoded again here."""
     xml = out / "mitsuba-stock" / "scene.stock.xml"
     xml.parent.mkdir(exist_ok=True)
     run([*centaur, "convert", scene, xml, *at_time(scene), "--quiet"])
@@ -188,7 +190,8 @@ def over(image, background):
 
 
 def compare(row, ours, theirs, background, gate, edges, layers):
-    """Fills `row` with figures of the picture and its `layers`, and says whether their gates are met, at most `edges` pixels left out."""
+    """Fills `row` with the errors of the picture and its `layers`, and returns whether they are within the limits, with
+    at most `edges` pixels left out."""
     for found in (ours, theirs):
         if not {"", *layers} <= found.keys():
             raise RuntimeError(f"expected RGBA and the layers {layers}, found {sorted(found)}")
@@ -210,7 +213,7 @@ def compare(row, ours, theirs, background, gate, edges, layers):
 
 
 def check(scene, arguments, out):
-    """Rows of the table of one scene."""
+    """Rows of the table for one scene."""
     asset = Asset(scene)
     cameras = min(MOST_CAMERAS, sum("camera" in node for node, _ in asset.nodes()))
     background = np.array(contract_of(asset).get("background", [0, 0, 0]), float)
@@ -223,11 +226,11 @@ def check(scene, arguments, out):
     centaur = arguments.centaur
     ours = {model: by_centaur(centaur, scene, out, model) for model in ("ray", "ewa")}
     gate_of = lambda program: GATES[program][kind]
-    # (program, model that it is compared with, least PSNR, how it renders)
+    # (program, model to compare with, least PSNR, renderer)
     comparisons = [("mitsuba", "ray", gate_of("mitsuba"), lambda: by_mitsuba(centaur, scene, cameras, out))]
     if kind != "many":
         comparisons.append(("numpy", "ray", gate_of("numpy"), lambda: by_numpy(scene, cameras)))
-    # The others are not what is in a `.stock.xml`: it has no meshes.
+    # The other scenes cannot be represented in a `.stock.xml`, which has no meshes.
     if all(ray_model.KHR in p.get("extensions", {}) for m in asset.json["meshes"] for p in m["primitives"]):
         ours_by_ray = "ray, SH by ray"
         comparisons.append(("mitsuba stock", ours_by_ray, gate_of("mitsuba stock"), lambda: by_stock_mitsuba(centaur, scene, cameras, out)))
@@ -263,7 +266,8 @@ def check(scene, arguments, out):
 
 
 def ensure_names(found, only, is_quick):
-    """Stops where a name is of no scene: nothing would come of what is said of it. Of --quick, slow scenes need not be there."""
+    """Stops if a name belongs to no scene, since settings for it would have no effect. With --quick, slow scenes need
+    not exist."""
     known = set(found) | set(SLOW if is_quick else [])
     for what, names in [("--only", only), ("SLOW", SLOW), ("NOT_CYCLES", NOT_CYCLES), ("TIMES", TIMES)]:
         for name in names:

@@ -1,12 +1,13 @@
-"""A glTF file as it is at a time, in numpy: animations, morph targets, skins and bindings of splats, written from the texts of
-glTF 2.0 (3.7.2.2 morph targets, 3.7.3 skins, 3.11 and appendix C animations) and of the extension (Binding)."""
+"""Poses a glTF file at a point in time, in numpy: animations, morph targets, skins and bindings of splats, written from
+the specifications of glTF 2.0 (3.7.2.2 morph targets, 3.7.3 skins, 3.11 and appendix C animations) and of the extension
+(Binding)."""
 import numpy as np
 
 from composition import EXT, KHR, Asset, rotations
 
 
 class Posed(Asset):
-    """What is posed stands in global space: its node is given the identity."""
+    """A posed asset. Posed geometry is in global space: its node gets the identity transform."""
 
     def __init__(self, path, time):
         super().__init__(path)
@@ -73,7 +74,7 @@ class Posed(Asset):
 
 
 def sampled(asset, sampler, time, key):
-    """The value of a channel: [3], [4] or weights."""
+    """Value of a channel: [3], [4] or weights."""
     times, values = asset.accessor(sampler["input"]), asset.accessor(sampler["output"])
     kind = sampler.get("interpolation", "LINEAR")
     values = values.reshape(len(times), 3 if kind == "CUBICSPLINE" else 1, -1)

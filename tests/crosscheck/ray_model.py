@@ -1,4 +1,4 @@
-"""The image model `ray` in numpy, written from its definition: a second witness beside `centaur render --model ray`.
+"""The image model `ray` in numpy, written from its definition: an independent check of `centaur render --model ray`.
 
 For a pixel's ray, o + t d with d of depth 1: a splat has its peak at t* = -o'.d'/d'.d' in its own whitened space, the squared
 distance m2 there, and alpha = min(opacity exp(-m2/2), 0.99) if that is at least 1/255 and both t* and the mean's depth are
@@ -14,7 +14,8 @@ from composition import KHR, View, contract_of, mesh_layers, orthogonal, rotatio
 
 
 def splats_of(asset):
-    """Means, matrices that whiten, opacities and SH coefficients of all splats, and the turn of their frame, [3, 3] or one each."""
+    """Means, whitening matrices, opacities and SH coefficients of all splats, and the rotation of their frame, [3, 3]
+    or one each."""
     for node, matrix in asset.nodes():
         for primitive in asset.json["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []:
             if KHR not in primitive.get("extensions", {}):
@@ -29,7 +30,8 @@ def splats_of(asset):
 
 
 def render(asset, camera=0, by_mean=True):
-    """-> image [h, w, 4], premultiplied, without background, and its layers of splats and surfaces, likewise."""
+    """Returns the image [h, w, 4], premultiplied, without background, and its layers of splats and of surfaces,
+    likewise."""
     cameras = [n for n, _ in asset.nodes() if "camera" in n]
     kept = {id(n): n.pop("camera") for n in cameras if n is not cameras[camera]}
     view, contract = View(asset), contract_of(asset)
@@ -43,7 +45,7 @@ def render(asset, camera=0, by_mean=True):
         mean, whiten, alpha0, sh, turn = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, 1, 3)), np.eye(3)
     else:
         mean, whiten, alpha0, sh, turn = splats
-    # Whose mean is not beyond the near plane is in no picture.
+    # A splat whose mean is not beyond the near plane is not drawn.
     alpha0 = np.where(view.to_camera(mean)[:, 2] > near, alpha0, 0)
     offset = view.center - mean
     o = np.einsum("nij,nj->ni", whiten, offset)
@@ -67,7 +69,7 @@ def render(asset, camera=0, by_mean=True):
         keys = np.concatenate([np.where(alpha > 0, t, np.inf), depth[:, part].reshape(count, -1)])
         alphas = np.concatenate([alpha, opacity[:, part].reshape(count, -1)])
         rgbs = np.concatenate([rgb, color[:, part].reshape(count, -1, 3)])
-        order = np.argsort(keys, axis=0, kind="stable")  # splats stand first: at equal depth they are in front
+        order = np.argsort(keys, axis=0, kind="stable")  # splats come first: at equal depth they are in front
         alphas = np.take_along_axis(alphas, order, 0)
         t_before = np.cumprod(np.concatenate([np.ones((1, alphas.shape[1])), 1 - alphas]), axis=0)[:-1]
         weights = np.empty_like(alphas)

@@ -1,4 +1,4 @@
-"""One page and one JSON of what crosscheck.py found."""
+"""Writes the results of crosscheck.py as one page and one JSON."""
 import base64
 import html
 import json
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def png(image):
-    """An image [h, w, 3] in 0..1 as a PNG, as text for a page."""
+    """Encodes an image [h, w, 3] in 0..1 as a PNG, as text for a page."""
     pixels = np.round(255 * np.clip(np.nan_to_num(image, nan=1), 0, 1)).astype(np.uint8)
     rows = b"".join(b"\0" + row.tobytes() for row in pixels)
     chunk = lambda kind, body: struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
@@ -19,14 +19,14 @@ def png(image):
 
 
 def decibels(figures):
-    """PSNR of a picture, and of the rest of it where pixels are above 0.01."""
+    """PSNR of a picture, and of its remaining pixels if some have errors above 0.01."""
     if figures["above_1e-2"] and figures["rest"]:
         return f"{figures['psnr']:.1f} dB ({figures['rest']:.1f} without {figures['above_1e-2']} px)"
     return "exact" if figures["psnr"] is None else f"{figures['psnr']:.1f} dB"
 
 
 def line(row):
-    """A comparison in a line of text."""
+    """A comparison as a line of text."""
     verdict = "pass" if row["passes"] else "MISS"
     start = f"{verdict}  {row['scene']}/{row['camera']}  {row['program']} ~ {row['model']}: "
     if "error" in row:

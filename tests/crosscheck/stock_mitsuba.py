@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Renders a `.stock.xml` with Mitsuba as it is: python stock_mitsuba.py SCENE.stock.xml OUT.exr CAMERA
+"""Renders a `.stock.xml` with unmodified Mitsuba: python stock_mitsuba.py SCENE.stock.xml OUT.exr CAMERA
 
-Its plug-ins are Mitsuba's own; the film has no alpha.
+It uses only Mitsuba's own plug-ins; the film has no alpha.
 """
 import pathlib
 import sys
 
 if __name__ == "__main__":
-    # For the LLVM that it finds, and the variant; its plug-ins are not registered.
+    # Imported for its choice of LLVM and variant; its plug-ins are not registered.
     sys.path.insert(0, str(pathlib.Path(__file__).parents[2] / "src/format/mitsuba"))
     import hybrid_rf  # noqa: F401
     import mitsuba as mi

@@ -1,10 +1,10 @@
-//! The invariants of ARCHITECTURE.md, checked in the source text: which module may name which, in which directories
-//! imports go one way, and what the library must not do.
+//! The invariants of ARCHITECTURE.md, checked in the source text: which module may import which, in which directories
+//! imports are acyclic, and what the library must not do.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Modules of the library and what of ours each may import.
+/// Modules of the library, and our modules that each may import.
 const MAY_IMPORT: [(&str, &[&str]); 13] = [
     ("atomic", &[]),
     ("base64", &[]),
@@ -50,13 +50,13 @@ const ONE_WAY: [&str; 24] = [
     "scene",
 ];
 
-/// What may be named only in some files: (text, where by path prefix, in words).
+/// Text that may occur only in some files: (text, path prefixes, description).
 const ONLY_IN: [(&str, &[&str], &str); 9] = [
     ("wgpu::", &["render/gpu/device/"], "wgpu outside render/gpu/device"),
     ("print!", &["cli/", "main.rs"], "printing in the library"),
     ("println!", &["cli/", "main.rs"], "printing in the library"),
     ("process::exit", &["cli/", "main.rs"], "a process exit in the library"),
-    // What the feature `cli` brings.
+    // Dependencies of the feature `cli`.
     ("anyhow::", &["cli/", "main.rs"], "anyhow in the library"),
     ("clap::", &["cli/", "main.rs"], "clap in the library"),
     ("ctrlc::", &["cli/", "main.rs"], "ctrlc in the library"),
@@ -64,7 +64,7 @@ const ONLY_IN: [(&str, &[&str], &str); 9] = [
     ("signal_hook::", &["cli/", "main.rs"], "signal-hook in the library"),
 ];
 
-/// Source without comments and without items for tests, whose last line is indented as their first.
+/// Source without comments and without test items, whose last line is indented like their first.
 fn production(text: &str) -> String {
     let indentation = |line: &str| line.len() - line.trim_start().len();
     let mut kept = String::new();
@@ -94,7 +94,7 @@ fn identifier(text: &str) -> &str {
     &text[..text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len())]
 }
 
-/// First segments of the path that `text` begins with: one, or those of a group in braces.
+/// First segments of the path at the beginning of `text`: one, or those of a group in braces.
 fn heads(text: &str) -> Vec<&str> {
     let text = text.trim_start();
     let Some(group) = text.strip_prefix('{') else { return vec![identifier(text)] };
@@ -115,7 +115,7 @@ fn heads(text: &str) -> Vec<&str> {
     found
 }
 
-/// What `text`, a file at `path` below a module, names of that module, through its own name or enough `super::`.
+/// Items of `module` that `text`, a file at `path` below it, imports by the module's name or by enough `super::`.
 fn imports<'a>(module: &str, path: &Path, text: &'a str) -> Vec<&'a str> {
     let named = if path.ends_with("mod.rs") { 1 } else { 0 };
     let up = "super::".repeat(path.components().count() - named);
@@ -126,7 +126,7 @@ fn imports<'a>(module: &str, path: &Path, text: &'a str) -> Vec<&'a str> {
     found
 }
 
-/// Names that the file above a directory takes over from the files of it, and from which.
+/// Names that the file above a directory re-exports from the directory's files, and from which.
 fn taken_over(above: &str) -> BTreeMap<&str, &str> {
     let mut from = BTreeMap::new();
     for (i, _) in above.match_indices("use ") {
@@ -143,13 +143,13 @@ fn taken_over(above: &str) -> BTreeMap<&str, &str> {
     from
 }
 
-/// The imports among files of a directory that are part of a circle, or between two: which file of which others. `files` are (path in the
-/// directory, text), `above` is the text of the file above it.
+/// Imports among files of a directory that are part of a cycle, or that connect two cycles, by file. `files` are (path
+/// in the directory, text), and `above` is the text of the file above it.
 fn circles(directory: &str, above: &str, files: &[(PathBuf, String)]) -> Vec<String> {
     let module_of = |path: &Path| identifier(path.iter().next().unwrap().to_str().unwrap()).to_owned();
     let taken_over = taken_over(above);
     let mut names = directory.rsplit('/');
-    // A crate is called as two of the directories are, where the one above is named with it.
+    // A crate has the same name as two of the directories, where the parent directory is named as well.
     let name = match names.next().unwrap() {
         "gltf" => format!("{}::gltf", names.next().unwrap()),
         name => name.to_owned(),
@@ -163,7 +163,7 @@ fn circles(directory: &str, above: &str, files: &[(PathBuf, String)]) -> Vec<Str
         let siblings: Vec<String> = siblings.map(|other| (*other).to_owned()).collect();
         graph.get_mut(&module).unwrap().extend(siblings);
     }
-    // What imports nothing that is left, or is imported by nothing that is left, is in no circle.
+    // A file that imports none of the remaining files, or is imported by none of them, is in no cycle.
     loop {
         let imported: BTreeSet<String> = graph.values().flatten().cloned().collect();
         let before = graph.len();
@@ -177,7 +177,7 @@ fn circles(directory: &str, above: &str, files: &[(PathBuf, String)]) -> Vec<Str
     graph.iter().map(|(module, of)| format!("{directory}: {module} imports {of:?}")).collect()
 }
 
-/// What is wrong with a file at `path` below `src`.
+/// Violations in a file at `path` below `src`.
 fn violations(path: &Path, text: &str) -> Vec<String> {
     if is_test_file(path) {
         return vec![];
@@ -255,7 +255,7 @@ fn every_module_has_a_rule() {
     assert_eq!(modules, ruled);
 }
 
-/// A file that is not declared is not compiled, and its tests are missed by nobody.
+/// A file that is not declared as a module is not compiled, and its tests would silently not run.
 #[test]
 fn every_file_beside_this_one_is_compiled() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/integration");
@@ -290,7 +290,7 @@ fn violations_are_found_and_tests_exempt() {
     assert!(check("geometry/bvh.rs", fine).is_empty());
     assert!(check("geometry/bvh.rs", "#[cfg(test)]\nmod tests {\n use crate::capture;\n}").is_empty());
     assert_eq!(check("geometry/bvh.rs", "#[cfg(test)]\nmod tests;\nuse crate::capture;").len(), 1);
-    // What follows an item for tests is looked at, however long that is.
+    // Code after a test item is checked, however long the item is.
     let test_only = "impl A {\n    #[cfg(test)]\n    #[must_use]\n    fn f(\n        x: crate::capture::View,\n    ) -> u32 {\n        1\n    }\n    fn g(x: crate::optimize::Run) {}\n}";
     assert_eq!(check("geometry/bvh.rs", test_only), ["geometry/bvh.rs: geometry imports optimize"]);
     assert!(check("render/gpu/device/mod.rs", "wgpu::Device").is_empty());
@@ -311,11 +311,11 @@ fn circles_are_found() {
     for back in ["use super::A;", "use super::{f, a::{x, y}};", "use crate::{scene::C, render::gpu::{a_of, f}};"] {
         assert_eq!(check(above, &[one_way, ("b.rs", back), ("c.rs", "use super::{a, b};")]), circle, "{back}");
     }
-    // By way of a third, and of a directory, whose files are one with the file above them.
+    // Through a third file, and through a directory, whose files count as one with the file above them.
     let third = [one_way, ("b/deep.rs", "use super::super::c::x;\nuse super::a::x;"), ("c.rs", "use super::a;")];
     assert_eq!(check(above, &third).len(), 3);
     assert!(check(above, &[one_way, ("b.rs", "use super::c;"), ("b/a.rs", "use super::a;"), ("c.rs", "")]).is_empty());
-    // A crate is no directory of ours.
+    // A crate is not one of our directories.
     for (named, found) in [("gltf::Node", 0), ("crate::format::gltf::Node", 2)] {
         let files =
             [("transform.rs", format!("fn f(x: {named}) {{}}")), ("tree.rs", "use super::transform;".to_owned())];

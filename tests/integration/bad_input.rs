@@ -1,5 +1,5 @@
-//! Captures, meshes, adapters and checkpoints that are not as they should be: one line that names the file and what
-//! was expected, exit code 1, nothing left behind.
+//! Faulty captures, meshes, adapters and checkpoints: one line that names the file and what was expected, exit code 1,
+//! and no files left behind.
 
 use std::path::Path;
 use std::process::Command;
@@ -14,10 +14,10 @@ use centaur::render::gpu::Gpu;
 use centaur::scene::{Composition, HybridScene, Splats};
 use glam::{Quat, Vec3};
 
-/// A run of a second or two.
+/// A run that takes a second or two.
 const SHORT: [&str; 8] = ["train", "capture", "-o", "scene.glb", "--iterations", "12", "--no-eval", "--quiet"];
 
-/// Those that mean nothing beside --no-mesh, the last one also beside --mesh.
+/// Flags that have no effect with --no-mesh; the last one has none with --mesh either.
 const OF_A_MESH: [&str; 3] = ["--warmup", "4", "--surface-iterations=11"];
 
 fn folder_with_capture(views: usize) -> tempfile::TempDir {
@@ -26,7 +26,7 @@ fn folder_with_capture(views: usize) -> tempfile::TempDir {
     folder
 }
 
-/// Without a scene of before, which would be noted.
+/// Removes the scene of an earlier run, which would cause a note.
 fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
     let _ = std::fs::remove_file(folder.join("scene.glb"));
     let more: Vec<&str> = more.into_iter().collect();
@@ -41,7 +41,7 @@ fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command 
     command
 }
 
-/// Trains a capture of 8 views that `damage` has changed; returns the one line.
+/// Trains a capture of 8 views after `damage` has changed it; returns the one line of its error.
 fn refused(damage: impl FnOnce(&Path)) -> String {
     let folder = folder_with_capture(8);
     damage(&folder.path().join("capture"));
@@ -63,7 +63,7 @@ fn captures_with_missing_or_wrong_parts() {
     let line = refused(|c| std::fs::write(c.join("images/003.png"), "no picture").unwrap());
     assert!(line.starts_with("error: capture/images/003.png: "), "{line}");
 
-    // Cut in the middle: the header is right, the pixels are found missing while training.
+    // Cut in the middle: the header is right, so the missing pixels are found only during training.
     let line = refused(|c| {
         let path = c.join("images/003.png");
         let bytes = std::fs::read(&path).unwrap();
@@ -88,7 +88,7 @@ fn captures_with_missing_or_wrong_parts() {
     }
 }
 
-/// Its header is whole. Only some of those that are held out are looked at while training goes on; all are scored after it.
+/// Its header is complete. During training only some of the held-out views are evaluated; all are scored afterwards.
 #[test]
 fn a_held_out_photograph_that_ends_early_is_found_before_training() {
     let folder = folder_with_capture(64);
@@ -103,7 +103,7 @@ fn a_held_out_photograph_that_ends_early_is_found_before_training() {
     assert!(trained.status.success(), "it is needed for scores alone: {}", stderr(&trained));
 }
 
-/// Weights of `AlexNet`, all 0, as `lpips_weights.py` writes others.
+/// Writes zero weights of `AlexNet` in the format of `lpips_weights.py`.
 fn write_weights(file: &Path) {
     let convolutions = [[64, 3, 11], [192, 64, 5], [384, 192, 3], [256, 384, 3], [256, 256, 3]];
     let shapes: Vec<(String, Vec<usize>)> = (convolutions.into_iter().enumerate())
@@ -146,7 +146,7 @@ fn truncated_binary_models() {
         bytes
     };
     let whole = camera(1);
-    // An announced count that no file could hold must not be believed either.
+    // A declared count that no file could hold must not be trusted either.
     for bytes in [&whole[..5], &whole[..whole.len() - 1], &camera(u64::MAX)] {
         let line = refused(|c| std::fs::write(c.join("sparse/0/cameras.bin"), bytes).unwrap());
         assert!(line.starts_with("error: capture/sparse/0/cameras.bin: "), "{line}");
@@ -246,7 +246,7 @@ fn scenes_of_another_capture_are_scored_and_it_is_said() {
     }
 }
 
-/// Its header is right: that its pixels are missing is found while it is scored.
+/// The header is right: missing pixels are found only when the photograph is scored.
 #[test]
 fn photographs_that_are_cut_off_leave_no_report() {
     let folder = folder_with_capture(9);
@@ -261,7 +261,7 @@ fn photographs_that_are_cut_off_leave_no_report() {
     assert!(line.starts_with("error: capture/images/000.png: "), "{line}");
 }
 
-/// As where structure from motion has made several models of it.
+/// As if structure from motion has made several models of the capture.
 #[test]
 fn photographs_that_a_capture_does_not_list_are_noted() {
     let folder = folder_with_capture(8);
@@ -273,7 +273,7 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
         std::fs::copy(images.join("000.png"), images.join(name)).unwrap();
     }
     assert_eq!(notes(), "note: capture: lists 8 of the 10 photographs: the others are left out\n");
-    // Those two may be the ones of a further model.
+    // The two photographs may belong to a further model.
     let sparse = folder.path().join("capture/sparse");
     std::fs::create_dir(sparse.join("1")).unwrap();
     for file in ["cameras.txt", "images.txt"] {
@@ -282,7 +282,7 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
     let note = "note: capture: has further COLMAP models of other photographs (1): model 0 is used; to use another, rename it to 0\n";
     assert!(notes().starts_with(note), "{}", notes());
     std::fs::remove_dir_all(sparse.join("1")).unwrap();
-    // Beside the model, a file of two of them that looks the other way.
+    // Beside the model, a file with two of the views with another orientation.
     let frame = |i: u32| {
         format!(
             r#"{{"file_path":"images/{i:03}.png","transform_matrix":[[1,0,0,{i}],[0,-1,0,0],[0,0,-1,0],[0,0,0,1]]}}"#
@@ -309,7 +309,7 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
     );
 }
 
-/// Variants of a benchmark share them with hybrids.
+/// Variants of a benchmark share flags with hybrid variants.
 #[test]
 fn flags_of_a_mesh_beside_none_are_noted() {
     let folder = folder_with_capture(8);
@@ -317,13 +317,13 @@ fn flags_of_a_mesh_beside_none_are_noted() {
     let output = train(folder.path(), more).args(OF_A_MESH).output().unwrap();
     let note = "note: --no-mesh: --surface-iterations, --triangles, --shell, --warmup have no effect\n";
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
-    // Beside one that is given, those of a surface that is made.
+    // With a given mesh, flags for the extraction of a surface.
     std::fs::write(folder.path().join("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
     let more =
         ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--planar", "off", "--lambda", "0"];
     let output = train(folder.path(), more).output().unwrap();
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), "note: --mesh: --planar has no effect\n"));
-    // An order by depth alone has nothing to be told how far.
+    // An order by depth alone does not use λ.
     let more =
         ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--mode", "direct", "--lambda", "0"];
     let output = train(folder.path(), more).output().unwrap();
@@ -331,7 +331,7 @@ fn flags_of_a_mesh_beside_none_are_noted() {
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
 }
 
-/// In another unit or frame than the poses, as a rule.
+/// Usually such meshes are in another unit or frame than the poses.
 #[test]
 fn meshes_that_no_view_sees_are_refused() {
     let folder = folder_with_capture(8);
@@ -347,7 +347,7 @@ fn meshes_that_no_view_sees_are_refused() {
     assert_eq!(common::tree(folder.path()), before);
 }
 
-/// Cameras stand within it.
+/// The cameras are inside the mesh.
 #[test]
 fn meshes_in_another_unit_than_the_poses_are_noted() {
     let folder = folder_with_capture(8);
@@ -379,7 +379,7 @@ fn point_clouds_without_points() {
     assert_eq!(line, format!("error: capture/sparse/0/points3D.txt: expected points, found none; {advice}"));
 
     let folder = folder_with_capture(8);
-    // Nobody looks for them.
+    // The points are not needed.
     std::fs::remove_file(folder.path().join("capture/sparse/0/points3D.txt")).unwrap();
     let flags = ["--no-mesh", "--max-splats", "500", "--no-points"];
     let output = train(folder.path(), flags).output().unwrap();
@@ -429,7 +429,7 @@ fn captures_that_name_no_points_start_from_random_splats_and_say_so() {
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((stderr(&output), &outcome["notes"]), (String::new(), &serde_json::json!([note, lies])));
 
-    // What takes no points does not miss them.
+    // A run that uses no points does not need the file.
     write(&[("ply_file_path", "gone.ply")]);
     let tetrahedron =
         "v 0.4 0 -0.3\nv -0.4 0.3 -0.3\nv -0.4 -0.3 -0.3\nv 0 0 0.4\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
@@ -497,7 +497,7 @@ fn folders_that_take_no_files() {
     assert!(line.starts_with("error: /proc/scene.glb: cannot write: folder /proc: "), "{line}");
 }
 
-/// As where a container has more cores than it may have threads. Here their stacks find no room.
+/// As in a container with more cores than permitted threads. Here the threads' stacks do not fit into memory.
 #[cfg(target_os = "linux")]
 #[test]
 fn threads_that_cannot_be_started() {
@@ -508,7 +508,7 @@ fn threads_that_cannot_be_started() {
     assert!(line.starts_with("error: cannot start a thread for every core; RAYON_NUM_THREADS=4, say, "), "{line}");
 }
 
-/// A triangle in each, of a document that names more of them than may be open.
+/// A document that names more files than may be open, with a triangle in each.
 #[cfg(unix)]
 #[test]
 fn more_files_than_may_be_open() {
@@ -553,7 +553,7 @@ fn adapters_that_do_not_exist() {
         let expected = format!("error: no adapter matches {wanted:?}; available: #0 ");
         let line = failure(folder.path(), &mut train(folder.path(), ["--adapter", wanted]));
         assert!(line.starts_with(&expected), "{line}");
-        // From the environment, too, where the flag says nothing else.
+        // Also from the environment, unless a flag says otherwise.
         let line = failure(folder.path(), train(folder.path(), []).env("CENTAUR_ADAPTER", wanted));
         assert!(line.starts_with(&expected), "{line}");
         let line = failure(folder.path(), train(folder.path(), ["--adapter", "none"]).env("CENTAUR_ADAPTER", wanted));
@@ -561,7 +561,7 @@ fn adapters_that_do_not_exist() {
     }
 }
 
-/// Vulkan's loader is told of no driver: as on a machine without one.
+/// No driver for Vulkan's loader, as on a machine without one.
 #[cfg(target_os = "linux")]
 #[test]
 fn machines_without_an_adapter() {
@@ -576,7 +576,7 @@ fn machines_without_an_adapter() {
     without_drivers(&mut command);
     let line = failure(folder.path(), &mut command);
     assert!(line.starts_with("error: no GPU adapter found: install "), "{line}");
-    // Of many jobs once.
+    // Once for several jobs.
     std::fs::create_dir(folder.path().join("scenes")).unwrap();
     for scene in ["one", "two"] {
         std::os::unix::fs::symlink("../capture", folder.path().join("scenes").join(scene)).unwrap();
@@ -637,7 +637,7 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     assert!(resumed(&[]).ends_with("iteration: expected at most the 12 of its phase, found 13"));
 }
 
-/// There is no checkpoint of this run that could be spoken of.
+/// There is no checkpoint of this run to refer to.
 #[test]
 fn what_is_not_finite_is_named() {
     let folder = folder_with_capture(8);

@@ -1,4 +1,4 @@
-//! `centaur bench` on a small data set: done once, gone on with, listed for others.
+//! `centaur bench` on a small data set: run once, continued, and listed for other runners.
 
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
@@ -24,7 +24,7 @@ fn bench(folder: &Path, more: &[&str], flags: &str) -> Output {
     command.args(more).arg("--").args(flags.split(' ')).output().unwrap()
 }
 
-/// A capture by its files, and none to train on.
+/// A capture whose files are there, but which has no cameras.
 fn no_cameras(folder: &Path) {
     std::fs::create_dir_all(folder.join("sparse/0")).unwrap();
     std::fs::write(folder.join("sparse/0/cameras.bin"), []).unwrap();
@@ -54,7 +54,7 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert_eq!(part.lines().collect::<Vec<_>>(), list.lines().skip(1).step_by(2).collect::<Vec<_>>());
     assert!(!at("out").exists(), "a list does nothing");
 
-    // One job, as a scheduler would do it; then the rest.
+    // One job, as run by a scheduler; then the rest.
     let job = list.lines().find(|line| line.contains("splats/two-0")).unwrap();
     std::fs::write(at("list"), format!("{job}\n")).unwrap();
     let each = "tr '\\n' '\\0' < list | xargs -0 -n 1 -P 4 sh -c";
@@ -89,7 +89,7 @@ fn a_data_set_is_trained_once_and_tabled() {
     }
     assert!(!at("new").exists());
 
-    // Results of other flags are neither taken for these nor trained over.
+    // Results made with other flags are neither used nor overwritten.
     let other = bench(folder.path(), &["--list"], "--max-side 32");
     let message = said(&other).1;
     assert!(
@@ -102,7 +102,7 @@ fn a_data_set_is_trained_once_and_tabled() {
     let other = bench(folder.path(), &["--protocol", "a", "--table"], COARSE);
     assert_eq!(said(&other).1, "error: out/hybrid/one-0.json: expected a result of --protocol a, found none\n");
 
-    // Nor what is in another's place, is no result, or is one of another capture.
+    // Nor are results in the wrong place, files that are no results, or results of another capture.
     let place = at("out/hybrid/one-0.json");
     let whole = std::fs::read(&place).unwrap();
     let refused = || said(&bench(folder.path(), &["--list"], COARSE)).1;
@@ -129,7 +129,7 @@ fn a_data_set_is_trained_once_and_tabled() {
         assert_eq!(refused(), format!("error: out/hybrid/one-0.json: {expected}"));
     }
     std::fs::write(&place, &whole).unwrap();
-    // Results of former versions name flags of scenes that were replaced, too.
+    // Results of earlier versions also contain scene flags that were overridden.
     let mut replaced: serde_json::Value = serde_json::from_slice(&whole).unwrap();
     replaced["job"]["scene_flags"] = ["--iterations", "7"].into();
     std::fs::write(&place, replaced.to_string()).unwrap();
@@ -138,10 +138,10 @@ fn a_data_set_is_trained_once_and_tabled() {
     std::fs::write(&place, replaced.to_string()).unwrap();
     assert!(refused().contains("of the flags of one in scenes.json"), "{}", refused());
     std::fs::write(&place, &whole).unwrap();
-    // What has no name of a result may be anything.
+    // Files without the name of a result are ignored.
     std::fs::write(at("out/hybrid/notes.json"), "{").unwrap();
     assert_eq!(refused(), "");
-    // Another variant may be of other photographs.
+    // Another variant may use other photographs.
     let mut small: serde_json::Value = serde_json::from_slice(&whole).unwrap();
     let of_small = centaur::capture::fingerprint(&at("scenes/one"), Some("small")).unwrap();
     assert_ne!(Some(of_small.unwrap().into()), small["job"]["capture"].as_u64());
@@ -154,7 +154,7 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert_eq!(refused(), "");
     std::fs::remove_dir_all(at("out/small")).unwrap();
 
-    // A part of the jobs may be none of them, before anything is done and after.
+    // A shard may contain no job at all, both before and after any job is done.
     for out in ["out", "nowhere"] {
         let empty = centaur(folder.path())
             .args(["bench", "scenes", "-o", out, "--shard", "7/8", "--"])
@@ -164,7 +164,7 @@ fn a_data_set_is_trained_once_and_tabled() {
         assert!(empty.status.success(), "{:?}", said(&empty));
     }
 
-    // A job that fails is named with its reason; what is done stays, and is tabled.
+    // A failing job is named with its reason; finished results stay and are tabulated.
     std::fs::remove_file(at("out/hybrid/one-0.json")).unwrap();
     std::fs::remove_file(at("scenes/one")).unwrap();
     no_cameras(&at("scenes/one"));
@@ -176,13 +176,13 @@ fn a_data_set_is_trained_once_and_tabled() {
     assert!(lines[0].starts_with("hybrid/one-0: ") && lines[0].ends_with("(exit status: 1)"), "{messages}");
     assert_eq!(lines[1], format!("error: 1 of 1 jobs failed, first {}", lines[0]));
     assert!(table.contains("| hybrid | two | 1 |") && at("out/table.md").is_file());
-    // The table needs nothing but results.
+    // The table can be made from results alone.
     std::fs::remove_dir_all(at("scenes")).unwrap();
     let alone = centaur(folder.path()).args(["bench", "scenes", "-o", "out", "--table"]).output().unwrap();
     assert_eq!(said(&alone).0, table);
 }
 
-/// The time of an iteration is of all runs of a job, of which one may have had others beside it.
+/// Seconds per iteration cover all runs of a job, one of which may have run beside others.
 #[test]
 #[cfg(target_os = "linux")]
 fn jobs_that_ran_beside_others_before_have_no_times() {
@@ -208,7 +208,7 @@ fn jobs_that_ran_beside_others_before_have_no_times() {
     }
 }
 
-/// What was stopped does not go on with other flags, and says how it begins anew.
+/// A stopped job is not continued with other flags; the message says how to start it anew.
 #[test]
 fn a_stopped_job_with_other_flags_names_a_way_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -234,7 +234,7 @@ fn a_stopped_job_with_other_flags_names_a_way_out() {
     assert!(done.status.success(), "{:?}", said(&done));
 }
 
-/// `bench.sbatch` in each task of an array, with what Slurm sets; `--list` in place of trainings.
+/// Runs `bench.sbatch` in each task of an array, with the variables that Slurm sets; `--list` replaces trainings.
 #[test]
 #[cfg(target_os = "linux")]
 fn tasks_of_slurm_do_every_job_once() {
@@ -244,7 +244,7 @@ fn tasks_of_slurm_do_every_job_once() {
     for scene in ["one", "two", "three"] {
         no_cameras(&at("scenes").join(scene));
     }
-    // No GPU is assigned, and so there is nothing for Python to say.
+    // No GPU is assigned, so the Python script has nothing to print.
     std::fs::create_dir(at("bin")).unwrap();
     std::fs::write(at("bin/python3"), "#!/bin/sh\n").unwrap();
     std::fs::set_permissions(at("bin/python3"), std::fs::Permissions::from_mode(0o755)).unwrap();
@@ -273,7 +273,7 @@ fn tasks_of_slurm_do_every_job_once() {
     assert_eq!(listed, expected);
 }
 
-/// What another runner is at is told from what is done, and done where that runner leaves it undone.
+/// Jobs held by another runner are distinguished from finished ones, and run if that runner leaves them undone.
 #[test]
 fn jobs_of_another_runner_have_an_exit_code_and_can_be_waited_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -300,16 +300,16 @@ fn jobs_of_another_runner_have_an_exit_code_and_can_be_waited_for() {
     let mut lines = BufReader::new(waiting.stderr.take().unwrap()).lines().map(Result::unwrap);
     assert_eq!(lines.next().unwrap(), "note: 1 job left to another runner: waiting for at most 600 s");
     drop(lock);
-    // A capture without cameras: it has been tried.
+    // The capture has no cameras, which shows that the job was attempted.
     assert!(lines.last().unwrap().starts_with("error: 1 of 1 jobs failed, first default/one-0: "));
     assert_eq!(waiting.wait().unwrap().code(), Some(1));
 }
 
-/// A runner of a training that does not end.
+/// A runner whose training does not end.
 #[cfg(target_os = "linux")]
 fn endless(folder: &Path) -> std::process::Child {
     let flags = "--no-mesh --max-side 64 --iterations 1000000 --max-splats 1000 --checkpoint-every 0 --eval-every 0";
-    // Where tests run under nohup, a hangup would end nothing that they start.
+    // If tests run under nohup, a hangup would not end any process that they start.
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_centaur")]);
     command.current_dir(folder).env("XDG_RUNTIME_DIR", std::env::temp_dir());
@@ -328,7 +328,7 @@ fn wait_for(what: &str, mut is_so: impl FnMut() -> bool) {
     panic!("{what}: not after two minutes");
 }
 
-/// Processes of trainings in `folder`; those that are ending have no arguments.
+/// Processes of trainings in `folder`; processes that are ending have no arguments.
 #[cfg(target_os = "linux")]
 fn trainings(folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().unwrap();
@@ -341,13 +341,14 @@ fn trainings(folder: &Path) -> Vec<String> {
     processes.filter(is_ours).map(|process| process.file_name().unwrap().to_str().unwrap().to_owned()).collect()
 }
 
-/// Whether nobody holds the lock. A process that has no arguments any more, or is a zombie, may: its other threads end later.
+/// Whether nobody holds the lock. A process without arguments, or a zombie, may still hold it: its other threads end
+/// later.
 #[cfg(target_os = "linux")]
 fn is_free(lock: &Path) -> bool {
     std::fs::OpenOptions::new().write(true).open(lock).unwrap().try_lock().is_ok()
 }
 
-/// Whether the process has come to stop by itself when it is asked to: a thread of it waits for the end of stdin.
+/// Whether the process can already be asked to stop: one of its threads waits for the end of stdin.
 #[cfg(target_os = "linux")]
 fn can_be_asked(process: &str) -> bool {
     let threads = std::fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten();
@@ -355,7 +356,8 @@ fn can_be_asked(process: &str) -> bool {
     names.any(|name| name.trim() == "end of stdin")
 }
 
-/// Neither an interruption that only this process gets, nor a hangup that all get, nor its end leaves a training behind, and no two train the same.
+/// Neither an interrupt to this process alone, nor a hangup to all, nor the end of this process leaves a training
+/// behind, and no two processes train the same job.
 #[test]
 #[cfg(target_os = "linux")]
 fn no_training_is_left_behind_or_done_twice() {
@@ -392,12 +394,12 @@ fn no_training_is_left_behind_or_done_twice() {
             let heard = "note: stopping after the current step, and keeping what is done; a second time ends at once\n";
             assert_eq!(said(&ended).1, format!("{heard}error: stopped; the same command goes on\n"));
         } else if signal == "KILL" {
-            // It outlives its runner, and is still at it.
+            // The training outlives its runner, and continues.
             is_left_to_another();
             common::send("CONT", &training);
         }
         wait_for("the end of the training", || is_free(&at("out/default/one-0.lock")));
-        // None is written but by the end, and each run does an iteration at least.
+        // Checkpoints are written only when a run ends, and each run does at least one iteration.
         let checkpoint = Checkpoint::read(&at("out/default/one-0.glb.checkpoint")).unwrap();
         let iteration = checkpoint.meta["iteration"].as_u64().unwrap();
         assert!(iteration > before, "{signal}: expected more than {before} iterations, found {iteration}");

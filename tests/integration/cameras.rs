@@ -1,4 +1,4 @@
-//! `centaur cameras`, and `centaur render` from what it writes, as a user runs them.
+//! `centaur cameras`, and `centaur render` from its output, as a user runs them.
 
 use std::path::Path;
 use std::process::Command;
@@ -15,7 +15,7 @@ fn run(folder: &Path, args: &[&str]) -> String {
     said(&output)
 }
 
-/// A ball, red at x > 0 and blue at x < 0.
+/// Writes a ball that is red at x > 0 and blue at x < 0.
 fn write_ball(path: &Path, composition: Composition) {
     let means = vec![Vec3::new(0.2, 0.0, 0.0), Vec3::new(-0.2, 0.0, 0.0)];
     let color = |c: [f32; 3]| c.map(|v| (v - 0.5) / 0.282_094_8);
@@ -26,7 +26,7 @@ fn write_ball(path: &Path, composition: Composition) {
     write_scene(path, &scene, &WriteOptions::default()).unwrap();
 }
 
-/// RGBA, row-major from the top.
+/// RGBA pixels, row-major from the top.
 fn read_exr(path: &Path) -> Vec<[f32; 4]> {
     use exr::prelude::{Vec2, read_first_rgba_layer_from_file};
     let read = read_first_rgba_layer_from_file(
@@ -39,7 +39,8 @@ fn read_exr(path: &Path) -> Vec<[f32; 4]> {
     read.unwrap().layer_data.channel_data.pixels.1
 }
 
-/// Over a colour as browsers lay PNG, and in linear light as EXR has it, what is cut out is the picture.
+/// Composited over a colour as browsers do with PNG, and in linear light as EXR stores it, a cut-out equals the
+/// picture.
 #[test]
 fn what_is_cut_out_makes_the_picture_again_over_its_background() {
     let folder = tempfile::tempdir().unwrap();
@@ -70,7 +71,7 @@ fn what_is_cut_out_makes_the_picture_again_over_its_background() {
             assert!((linear[3] - alpha).abs() <= 0.5001 / 255.0);
             for c in 0..3 {
                 let over = alpha * f32::from(cut.0[c]) / 255.0 + (1.0 - alpha) * background[c];
-                // Three roundings to 8 bits: of the colour, of alpha and of what it is compared with.
+                // Three roundings to 8 bits: of the colour, of alpha and of the reference.
                 assert!((over - f32::from(whole.0[c]) / 255.0).abs() <= 1.501 / 255.0, "{over} for {whole:?}");
                 let straight = if linear[3] > 0.0 { linear_to_srgb(linear[c] / linear[3]) } else { 0.0 };
                 assert!((straight.clamp(0.0, 1.0) - f32::from(cut.0[c]) / 255.0).abs() <= 0.51 / 255.0);
@@ -97,7 +98,7 @@ fn paths_are_made_of_captures_without_photographs_and_rendered() {
         assert_eq!(said, format!("{out}: 6 frames of 20×15, 0.5 s at 12 frames a second\n"));
     }
     let mut pictures = vec![];
-    // The same path in four formats, each made of the one before.
+    // The same path in four formats, each converted from the previous one.
     for (from, to) in [("orbit.json", "orbit.glb"), ("orbit.glb", "orbit.usda"), ("orbit.usda", "orbit_model")] {
         run(folder.path(), &["cameras", "convert", from, "-o", to]);
     }
@@ -114,15 +115,15 @@ fn paths_are_made_of_captures_without_photographs_and_rendered() {
         let differences = pictures[0].concat().into_iter().zip(other.concat()).map(|(a, b)| a.abs_diff(b));
         assert!(differences.max().unwrap() <= 1);
     }
-    // Every frame looks at the ball, which is in its middle.
+    // Every frame looks at the ball, which is in the centre.
     for frame in &pictures[0] {
         let brightest = |x: usize| (0..3).map(|c| frame[(7 * 20 + x) * 3 + c]).max().unwrap();
         assert!((8..12).map(brightest).max().unwrap() > 100 && brightest(0) < 20 && brightest(19) < 20);
     }
 }
 
-/// A shot of a scene that has cameras, written into it again and again, is always that of those cameras; one that begins later than
-/// at 0 says so.
+/// A path computed from the cameras of a scene and written into that scene repeatedly is always based on the original
+/// cameras; a path that begins later than 0 says so.
 #[test]
 fn a_path_is_not_made_of_the_one_before() {
     let folder = tempfile::tempdir().unwrap();
@@ -146,7 +147,7 @@ fn a_path_is_not_made_of_the_one_before() {
     };
     let first = spline("a.glb", "b.gltf");
     assert_eq!(spline("b.gltf", "c.glb"), first);
-    // What moves cameras alone is no loss where they are not wanted, what moves more may be.
+    // An animation of cameras alone is no loss with --no-cameras, but an animation that could move other things may be.
     let strict = ["convert", "b.gltf", "b.usda", "--no-cameras", "--strict"];
     run(folder.path(), &strict);
     let document = std::fs::read_to_string(at("b.gltf")).unwrap();
@@ -209,7 +210,7 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
             std::fs::set_permissions(at("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).unwrap();
         }
         let mut command = centaur(folder.path());
-        // What it needs meanwhile is beside the film, also where the system's folder for that is not to be had.
+        // Temporary files are beside the film, even if the system's temporary folder is not available.
         let output = command.args(render).env("PATH", at("bin")).env("TMPDIR", at("none")).output().unwrap();
         (output.status.code(), stderr(&output))
     };
@@ -225,7 +226,7 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
     assert!(std::fs::read(at("film.mp4")).unwrap() == fed);
     assert!(std::fs::read_to_string(at("arguments")).unwrap().contains("-framerate 12.5 -i -"));
 
-    // Also among the pictures, in a folder that is not there yet.
+    // Also with the film in the folder of the pictures, which does not exist yet.
     let among = ["render", "ball.ply", "--cameras", "orbit.json", "-o", "new", "--video", "./new/film.mp4"];
     let output = centaur(folder.path()).args(among).env("PATH", at("bin")).output().unwrap();
     assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), ""));
@@ -234,14 +235,15 @@ fn films_are_made_by_ffmpeg_or_not_begun() {
     std::fs::remove_file(at("film.mp4")).unwrap();
     let (code, said) = film(Some("echo 'Unknown encoder libx264' >&2; exit 1"));
     assert_eq!((code, &said[..]), (Some(1), "error: film.mp4: not made: ffmpeg: Unknown encoder libx264\n"));
-    // It is not who reads our output, and has not seen enough.
+    // A closed pipe to ffmpeg is an error, unlike one to a reader of our output.
     let (code, said) = film(Some("exec <&-"));
     assert!(code == Some(1) && said.starts_with("error: ") && !at("film.mp4").exists(), "{code:?} {said}");
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert!(left.iter().all(|name| !name.to_string_lossy().starts_with(".centaur-")), "{left:?}");
 }
 
-/// What players are told of a film by the real ffmpeg, and what they show: the pictures, of odd sides, in their order and colours.
+/// Metadata of a film by the real ffmpeg, and its frames: the pictures, with odd sizes, in order and with their
+/// colours.
 #[test]
 #[ignore = "needs ffmpeg: make oracle-ffmpeg"]
 fn films_show_the_pictures() {
@@ -271,7 +273,8 @@ fn films_show_the_pictures() {
 
     let shown = stdout_of("ffmpeg", &["-v", "error", "-i", "film.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]);
     assert_eq!(shown.len(), frames * (width + 1) * (height + 1) * 3);
-    // Mean difference of a frame of the film from a picture, without the column and the row that make its sides even; of 255.
+    // Mean difference between a frame of the film and a picture, out of 255, without the column and row that make its
+    // sides even.
     let difference = |frame: usize, picture: usize| {
         let picture = image::open(folder.path().join(format!("frames/frame_0000{picture}.png"))).unwrap().to_rgb8();
         let rows = shown.chunks_exact(3 * (width + 1)).skip(frame * (height + 1)).take(height);
@@ -283,7 +286,7 @@ fn films_show_the_pictures() {
         assert!(same < 1.0 && next > 2.0 * same, "frame {frame}: {same} from its picture, {next} from the next");
     }
 
-    // Pixels that are twice as wide as high are shown so, and those of two shapes make no film.
+    // Pixels that are twice as wide as high are displayed so, and frames with different pixel aspects make no film.
     let frame = |name: &str, fl_y: u32| {
         serde_json::json!({
             "file_path": name, "w": 64, "h": 48, "fl_x": 30, "fl_y": fl_y,
@@ -306,7 +309,7 @@ fn films_show_the_pictures() {
     assert_eq!(String::from_utf8(stdout_of("ffprobe", &entries)).unwrap().trim(), "2:1");
 }
 
-/// Splats of another program, and a model that is y up.
+/// Splats of another program, and a y-up model.
 #[test]
 fn scenes_without_cameras_are_seen_from_around_them() {
     let folder = tempfile::tempdir().unwrap();
@@ -335,14 +338,14 @@ fn scenes_without_cameras_are_seen_from_around_them() {
     std::fs::write(at("theirs.usda"), theirs).unwrap();
     run(folder.path(), &["cameras", "orbit", "theirs.usda", "-o", "up.json", "--frames", "4"]);
     let path: serde_json::Value = serde_json::from_slice(&std::fs::read(at("up.json")).unwrap()).unwrap();
-    // Above it, and upright.
+    // The camera is above the model, and upright.
     let pose = &path["frames"][0]["transform_matrix"];
     assert!(pose[1][3].as_f64().unwrap() > 99.0 && pose[1][1].as_f64().unwrap() > 0.9, "{pose}");
     let some = ["render", "ball.glb", "-o", "some", "--camera", "view_3", "--camera", "0", "--max-side", "32"];
     run(folder.path(), &some);
     let names = ["view_0.png", "view_3.png"].map(|name| at("some").join(name).display().to_string());
     assert_eq!(tree(&at("some")), names);
-    // A path that was written into a scene is none of its cameras.
+    // A path written into a scene does not count as the scene's cameras.
     for _ in 0..2 {
         run(folder.path(), &["cameras", "orbit", "ball.glb", "-o", "both.glb", "--with-scene", "--frames", "3"]);
         std::fs::rename(at("both.glb"), at("ball.glb")).unwrap();
@@ -362,9 +365,9 @@ fn what_makes_no_path_is_one_line() {
     write_capture(&at("capture"), 9, (32, 24));
     write_ball(&at("ball.glb"), Composition::default());
     run(folder.path(), &["cameras", "orbit", "capture", "-o", "orbit.glb", "--frames", "2"]);
-    // Over a path as often as one likes.
+    // Paths can be overwritten any number of times.
     run(folder.path(), &["cameras", "orbit", "capture", "-o", "orbit.glb", "--frames", "2"]);
-    // One camera in a file, and one of another size.
+    // A file with one camera, and one of another size.
     let one = r#"{ "w": 8, "h": 6, "fl_x": 8, "frames": [{ "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }"#;
     std::fs::write(at("one.json"), one).unwrap();
     let two =
@@ -432,8 +435,8 @@ fn what_makes_no_path_is_one_line() {
     }
 }
 
-/// Compositors make a layer of all channels with one name before the dot, and know those of RGBA, of XYZ and of one channel: Blender showed
-/// nothing of another.
+/// Compositors make a layer of all channels with the same prefix before the dot, and know layers of RGBA, of XYZ and of
+/// one channel: Blender displays nothing of others.
 #[test]
 fn layers_have_channels_that_compositors_know() {
     let folder = tempfile::tempdir().unwrap();
@@ -454,7 +457,8 @@ fn layers_have_channels_that_compositors_know() {
     assert_eq!(layers.into_keys().collect::<Vec<_>>(), ["N", "count", "depth", "mesh", "splats"]);
 }
 
-/// Depths, normals and counts of an opaque plane aslant, z = 4 + x, behind one splat at 2, seen from the origin along z.
+/// Depths, normals and counts of a tilted opaque plane, z = 4 + x, behind a splat at depth 2, seen from the origin
+/// along z.
 #[test]
 fn layers_hold_depths_normals_and_counts() {
     let folder = tempfile::tempdir().unwrap();
@@ -513,13 +517,14 @@ fn layers_hold_depths_normals_and_counts() {
     }
 }
 
-/// Somebody else's glTF and USD are y up, cameras of a capture are not: however they meet, pictures and normals are those of the converted scene.
+/// Foreign glTF and USD are y up, cameras of a capture are not: however they are combined, pictures and normals are
+/// those of the converted scene.
 #[test]
 fn scenes_that_are_y_up_are_seen_by_captures_as_their_conversion_is() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     write_capture(&at("capture"), 3, (32, 24));
-    // Leans to one side, and is larger than what the cameras see.
+    // A tilted triangle, larger than the cameras' view.
     let layer = "#usda 1.0\n( metersPerUnit = 1\n upAxis = \"Y\" )\ndef Mesh \"m\" {\n point3f[] points = [(-9, -9, 2), (9, -9, 0), (-1, 9, -3)]\n \
                  int[] faceVertexCounts = [3]\n int[] faceVertexIndices = [0, 1, 2]\n uniform token subdivisionScheme = \"none\"\n \
                  color3f[] primvars:displayColor = [(0.2, 0.4, 0.6)]\n}\n";

@@ -17,7 +17,7 @@ fn masked() -> LoadOptions {
     LoadOptions { masks: true, ..LoadOptions::default() }
 }
 
-/// A copy of a model of `oracle_colmap_models` with black pictures, which it comes without.
+/// A copy of a model of `oracle_colmap_models`, which has no pictures, with black ones.
 fn with_pictures(model: &Path, names: &[&str], size: (u32, u32)) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for entry in std::fs::read_dir(model).unwrap() {
@@ -48,7 +48,7 @@ fn binary_and_text_of_one_model_agree() {
     });
     assert_eq!((binary.points.len(), text.points.len()), (7862, 7862));
     assert_eq!((binary.views.len(), text.views.len()), (11, 11));
-    // Text has six significant digits, and its points another order.
+    // Text has six significant digits, and points in another order.
     let sum = |points: &[centaur::capture::Point]| points.iter().map(|p| p.position).sum::<DVec3>();
     assert!(sum(&binary.points).distance(sum(&text.points)) < 1e-5 * 7862.0);
     for (a, b) in binary.views.iter().zip(&text.views) {
@@ -67,7 +67,7 @@ fn binary_and_text_of_one_model_agree() {
     assert!(!decode(&capture.views[0]).unwrap().masked);
 }
 
-/// What `capture` does not keep: per image the observations (pixel, point number), and the points by number.
+/// Data that `capture` does not keep: the observations (pixel, point number) per image, and the points by number.
 type Observations = (HashMap<String, Vec<(DVec2, u64)>>, HashMap<u64, DVec3>);
 
 fn observations(sparse: &Path) -> Observations {
@@ -102,7 +102,8 @@ fn observations(sparse: &Path) -> Observations {
     (images, points)
 }
 
-/// Pixels between a point in the pinhole picture and its observation after undistortion: mean, and their number.
+/// Mean distance in pixels between projected points and their undistorted observations in the pinhole picture, and the
+/// number of these.
 fn reprojection(folder: &Path) -> (f64, usize) {
     let capture = open(folder, &LoadOptions::default()).unwrap();
     let (images, points) = observations(&folder.join("sparse/0"));
@@ -144,10 +145,10 @@ fn skull66_opens_without_observations() {
     let (train, test) = Split::Every8th.split(&capture.views);
     assert_eq!((train.len(), test.len()), (57, 9));
     assert!(extent(capture.views.iter().map(|v| &v.camera)) > 0.0);
-    // The layout of COLMAP ≥ 3.12 without an images file is refused in words.
+    // The layout of COLMAP ≥ 3.12 without an images file is refused with an explanation.
     let upstream = open(&folder.join("upstream_sparse_0"), &options).unwrap_err().to_string();
     assert!(upstream.contains("frames only"), "{upstream}");
-    // Six pictures fit; every answer is the same as without a cache.
+    // Six pictures fit into the cache; every result is the same as without it.
     let cache = PhotoCache::new(200 * 133 * 4 * 7);
     for pair in capture.views[..14].windows(2) {
         cache.prefetch(&pair[1]);
@@ -161,11 +162,11 @@ fn maryrose69_has_a_mask_per_view() {
     let folder = shared("capture_maryrose69");
     let capture = open(&folder, &masked()).unwrap();
     assert_eq!((capture.views.len(), capture.points.len()), (69, 30866));
-    // SOURCE.md: 0.34 px over 181,852 observations; a pinhole, so exactly that.
+    // SOURCE.md: 0.34 px over 181,852 observations; the camera is a pinhole, so the error must be equal.
     let (mean, count) = reprojection(&folder);
     assert_eq!(count, 181_852);
     assert!((mean - 0.34).abs() < 0.006, "{mean} px");
-    // Points lie on the object: nearly all project into the mask of every view.
+    // Points are on the object: nearly all project into the mask of every view.
     let view = &capture.views[30];
     let photo = decode(view).unwrap();
     assert!(photo.masked && !photo.has_alpha);

@@ -1,4 +1,4 @@
-//! The command as a user meets it: exit codes, one clear line for every mistake, nothing left behind.
+//! The command as a user meets it: exit codes, one clear line for every mistake, no files left behind.
 
 use std::path::Path;
 use std::process::Output;
@@ -9,7 +9,7 @@ fn centaur(args: &[&str]) -> Output {
     common::centaur(Path::new(".")).args(args).output().unwrap()
 }
 
-/// The line of a command that must fail and leave nothing behind.
+/// Error line of a command that must fail and leave nothing behind.
 fn failure(folder: &Path, args: &[&str]) -> String {
     common::failure(folder, common::centaur(folder).args(args))
 }
@@ -88,7 +88,7 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
         let line = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
         assert_eq!(line, format!("error: {expected}"));
     }
-    // Flags of jobs are found wrong before there is one.
+    // Flags for jobs are checked before any job starts.
     std::fs::create_dir_all(folder.path().join("sets/one/sparse/0")).unwrap();
     for (flags, expected) in [
         (&["--seeds", "1,1"][..], "--seeds: 1 given twice"),
@@ -119,7 +119,7 @@ fn a_report_in_the_place_of_another_output_is_wrong_usage() {
     }
 }
 
-/// Whatever `--checkpoint-every` says: Ctrl-C saves one.
+/// Whatever `--checkpoint-every` is, since Ctrl-C saves a checkpoint.
 #[test]
 fn a_checkpoint_that_cannot_be_written_is_an_error_before_training() {
     let folder = tempfile::tempdir().unwrap();
@@ -132,7 +132,7 @@ fn a_checkpoint_that_cannot_be_written_is_an_error_before_training() {
     }
 }
 
-/// Of the other commands `cli::tests` asks clap, which knows them all.
+/// The other commands are covered by `cli::tests`, which gets their list from clap.
 #[test]
 fn help_and_version_are_answers_not_errors() {
     for args in [&["--help"][..], &["--version"], &["bench", "--help"], &["cameras", "orbit", "--help"]] {
@@ -211,7 +211,7 @@ fn outputs_that_cannot_be_written_are_found_before_any_work() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("file"), "").unwrap();
     std::fs::create_dir(folder.path().join("folder.glb")).unwrap();
-    // None of the inputs exists: the output is looked at first.
+    // None of the inputs exists: the output is checked first.
     for (args, expected) in [
         (
             &["train", "c", "-o", "none/a.glb"][..],
@@ -264,13 +264,13 @@ fn a_ply_of_something_else_is_inspected() {
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(said.contains("├ vertex: 3 rows of x, y, z, [-1.000 0.000 0.000] to [0.000 2.000 0.500]"), "{said}");
     assert!(said.contains("├ face: 1 rows of vertex_indices[]\n") && said.contains("warning: no splats"), "{said}");
-    // What is meant for splats, and is none, is an error.
+    // A file that is meant to contain splats but does not is an error.
     std::fs::write(folder.path().join("bad.ply"), text.replace("float z", "float z\nproperty float f_dc_0")).unwrap();
     let line = common::failure(folder.path(), common::centaur(folder.path()).args(["inspect", "bad.ply"]));
     assert!(line.starts_with("error: bad.ply: byte "), "{line}");
 }
 
-/// Names in files, and of files, may be anything.
+/// Names in files, and names of files, can contain anything.
 #[test]
 fn names_cannot_move_the_cursor() {
     let folder = tempfile::tempdir().unwrap();

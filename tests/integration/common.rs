@@ -1,4 +1,4 @@
-//! What tests of the program share: a tiny capture, and the program run as a user would.
+//! Shared parts of the tests of the program: a tiny capture, and running the program as a user would.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,23 +7,23 @@ use std::process::{Command, Output};
 use glam::{DMat3, DQuat, DVec3};
 use image::{Rgb, RgbImage};
 
-/// The program, about to be run in `folder`.
+/// The program, ready to run in `folder`.
 pub(crate) fn centaur(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_centaur"));
-    // Mesa complains on stderr where this is not set.
+    // Mesa prints warnings if this is not set.
     command.current_dir(folder).env("XDG_RUNTIME_DIR", std::env::temp_dir());
     command
 }
 
-/// A file or folder of the shared data, which `CENTAUR_DATA` names.
+/// A file or folder of the shared data, whose root is in `CENTAUR_DATA`.
 pub(crate) fn data(path: &str) -> PathBuf {
     let root = std::env::var_os("CENTAUR_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    // Programs run elsewhere.
+    // Programs run in other folders.
     std::path::absolute(root.join(path)).unwrap()
 }
 
-/// Sends a signal to a process, by the shell's own `kill`: the program is missing on small systems.
+/// Sends a signal to a process with the shell's built-in `kill`: the program is missing on small systems.
 #[cfg(unix)]
 pub(crate) fn send(signal: &str, process: &str) {
     let sent = Command::new("sh").args(["-c", &format!("kill -{signal} {process}")]).status();
@@ -34,7 +34,7 @@ pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// What a command has printed: results, and notes after them.
+/// Output of a command: results, followed by notes.
 pub(crate) fn said(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap() + &stderr(output)
 }
@@ -53,12 +53,12 @@ pub(crate) fn tree(folder: &Path) -> Vec<String> {
     found
 }
 
-/// Runs a command that must fail with one line on stderr and leave the folder as it was; returns the line.
+/// Runs a command that must fail with one line on stderr and leave the folder unchanged; returns the line.
 pub(crate) fn failure(folder: &Path, command: &mut Command) -> String {
     refusal(folder, command, 1)
 }
 
-/// As [`failure`], of a command that is wrong in itself.
+/// [`failure`] for a command with wrong usage.
 pub(crate) fn wrong_usage(folder: &Path, command: &mut Command) -> String {
     refusal(folder, command, 2)
 }
@@ -76,7 +76,7 @@ fn refusal(folder: &Path, command: &mut Command, code: i32) -> String {
     error[0].to_owned()
 }
 
-/// A COLMAP text model of `count` cameras that look at a ball of coloured points from all around, and its pictures.
+/// Writes a COLMAP text model of `count` cameras that look at a ball of coloured points from all around, with pictures.
 pub(crate) fn write_capture(root: &Path, count: usize, (width, height): (u32, u32)) {
     const COLORS: [[u8; 3]; 3] = [[230, 60, 40], [40, 190, 90], [60, 90, 220]];
     let sparse = root.join("sparse/0");
@@ -109,7 +109,7 @@ pub(crate) fn write_capture(root: &Path, count: usize, (width, height): (u32, u3
         let [x, y, z] = translation.to_array();
         writeln!(lines, "{} {} {} {} {} {x} {y} {z} 1 {view:03}.png\n", view + 1, q.w, q.x, q.y, q.z).unwrap();
         let mut picture = RgbImage::from_pixel(width, height, Rgb([20, 20, 30]));
-        // Far points first, so that near ones cover them.
+        // Distant points first, so that near ones cover them.
         let mut seen: Vec<(DVec3, usize)> =
             points.iter().enumerate().map(|(i, &p)| (rotation * p + translation, i)).collect();
         seen.sort_by(|a, b| b.0.z.total_cmp(&a.0.z));

@@ -1,4 +1,4 @@
-//! `centaur convert` as a user meets it: what is kept, what is lost and said so, what is refused.
+//! `centaur convert` as a user meets it: kept content, reported losses, refused input.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use centaur::format::{self, WriteOptions, gltf, ply};
 use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, in_morton_order, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
-/// `n` splats that all differ, along the diagonal from (0, 0, 0) to (n−1, n−1, n−1).
+/// `n` distinct splats along the diagonal from (0, 0, 0) to (n−1, n−1, n−1).
 fn splats(n: usize, degree: u32) -> Splats {
     let x = |i: usize| i as f32 * 0.37 % 1.0;
     Splats::new(
@@ -22,7 +22,7 @@ fn splats(n: usize, degree: u32) -> Splats {
     .unwrap()
 }
 
-/// 10 splats of degree 3, a triangle with bands of degree 2, a camera.
+/// Writes 10 splats of degree 3, a triangle with bands of degree 2, and a camera.
 fn write_hybrid(path: &Path) {
     let texels = |channels: u32| (0..4 * 4 * channels).map(|i| (i as f32 * 0.7).sin()).collect();
     let base = Texture::new(4, 4, 4, texels(4)).unwrap();
@@ -36,7 +36,7 @@ fn write_hybrid(path: &Path) {
     gltf::write_glb(path, &scene, &[("front".to_owned(), camera)], None).unwrap();
 }
 
-/// A record of a training, as scenes that were trained have it.
+/// Writes a scene with a training record, as trained scenes have.
 fn write_trained(path: &Path) -> serde_json::Value {
     let record = serde_json::json!({ "capture": "garden", "settings": { "iterations": 7 } });
     let scene = HybridScene { splats: splats(3, 0), meshes: vec![], composition: Composition::default() };
@@ -128,7 +128,7 @@ fn ply_to_glb_and_back_is_the_same_scene() {
     let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
     assert!(close(after.opacity_logits(), before.opacity_logits()));
     assert!(after.log_scales().iter().zip(before.log_scales()).all(|(a, b)| (*a - *b).abs().max_element() < 1e-6));
-    // Without a format in between, every byte.
+    // Without an intermediate format, bytes are identical.
     convert(folder.path(), "a.ply d.ply");
     assert_eq!(std::fs::read(path("d.ply")).unwrap(), std::fs::read(path("a.ply")).unwrap());
     assert_eq!(common::tree(folder.path()).len(), 4, "nothing else is left");
@@ -170,7 +170,7 @@ fn records_of_trainings_are_kept_or_named_and_no_part_of_the_scene() {
         assert!(said.starts_with("lost: the record of the training"), "{output}: {said}");
     }
     convert(folder.path(), "a.glb strict.ply --strict");
-    // What --strict lets go is no reason of its refusal.
+    // Losses that --strict permits are not named as a reason of refusal.
     let line = failure(folder.path(), "a.glb b.splat --strict");
     assert!(line.starts_with("error: b.splat: --strict: a .splat would lose ") && !line.contains("record"), "{line}");
     let said = convert(folder.path(), "a.glb a.ply two.glb --strict");
@@ -232,7 +232,7 @@ fn a_rule_that_no_input_states_is_not_lost_by_scaling() {
     let folder = tempfile::tempdir().unwrap();
     ply::write(&folder.path().join("a.ply"), &splats(5, 1)).unwrap();
     assert!(convert(folder.path(), "a.ply b.ply --scale 100 --strict").starts_with("lost: nothing\n"));
-    // What can state it has it in the new unit, and then it is lost.
+    // A format that can state the near plane has it in the new unit; a format that cannot then loses it.
     convert(folder.path(), "a.ply b.glb --scale 100 --strict");
     assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.near, 20.0);
     let line = failure(folder.path(), "b.glb c.ply --strict");
@@ -255,7 +255,7 @@ fn filters_apply_in_one_order_whatever_the_order_of_options() {
     let steps: Vec<(&str, u64)> = (outcome["steps"].as_array().unwrap().iter())
         .map(|s| (s["step"].as_str().unwrap(), s["removed_splats"].as_u64().unwrap()))
         .collect();
-    // Splat i moves to i − 10; 51 of them lie from 0 to 50.
+    // Splat i moves to i − 10; 51 of them are within 0 to 50.
     assert_eq!(steps[0], ("crop", 49));
     assert_eq!((steps[1].0, steps[2].0), ("min-opacity", "decimate"));
     let left = 51 - steps[1].1;
@@ -283,7 +283,7 @@ fn several_inputs_become_one_scene() {
     assert_eq!(all.splats.sh_of(20)[..4], *splats(7, 1).sh_of(3));
     assert_eq!(all.splats.sh_of(20)[4..], [[0.0; 3]; 12]);
 
-    // What an input was shown by is told where the others overrule it.
+    // If an input's composition is overruled by the others, a note names the difference.
     let mip =
         Composition { pixel_filter: centaur::scene::PixelFilter::MIP, background: [1.0; 3], ..Composition::default() };
     let scene = HybridScene { splats: splats(1, 0), meshes: vec![], composition: mip };
@@ -294,7 +294,7 @@ fn several_inputs_become_one_scene() {
     let line = failure(folder.path(), "a.ply m.glb -o b.glb --strict");
     assert!(line.contains("pixel filter"), "{line}");
     assert!(!convert(folder.path(), "m.glb m.glb -o b.glb").contains("left out"));
-    // As `*.glb` names them, the last is no output.
+    // With a glob such as `*.glb` the last name is not meant as an output.
     let line = failure(folder.path(), "a.ply m.glb b.glb");
     assert_eq!(line, "error: b.glb: exists already: -o b.glb replaces it");
     // Of two names of one kind the second is written, and that is said.
@@ -304,15 +304,16 @@ fn several_inputs_become_one_scene() {
         convert(folder.path(), "m.glb old.glb").contains(note)
             && !convert(folder.path(), "m.glb -o old.glb").contains(note)
     );
-    // What cannot be written is told before that.
+    // An output that cannot be written is reported before that check.
     let line =
         common::wrong_usage(folder.path(), common::centaur(folder.path()).args(["convert", "a.ply", "m.glb", "."]));
     assert!(!line.contains("replaces"), "{line}");
-    // A .ply says nothing of a background that could be left out.
+    // A .ply has no background, so none is left out.
     let said = convert(folder.path(), "m.glb a.ply -o b.glb");
     assert!(said.contains("note: a.ply: left out on joining: its own pixel filter\n"), "{said}");
 
-    // What states a rule and has a mesh comes first, wherever it stands; black that is stated is as good as any other.
+    // A scene with a mesh that states a rule has priority, in any position; a stated black background counts like any
+    // other.
     for inputs in ["h.glb m.glb", "m.glb h.glb"] {
         let said = convert(folder.path(), &format!("{inputs} -o b.glb"));
         assert!(said.contains("note: m.glb: left out on joining: its own ") && said.contains("background\n"), "{said}");
@@ -326,7 +327,7 @@ fn several_inputs_become_one_scene() {
         said.contains("note: k.glb: left out on joining: its own pixel filter and background and near plane\n"),
         "{said}"
     );
-    // The near plane of a .ply is none of its own.
+    // The near plane of a .ply is a default, not its own.
     convert(folder.path(), "a.ply k.glb -o b.glb --strict");
     assert_eq!(format::read_scene(&folder.path().join("b.glb")).unwrap().composition.near, 0.5);
 
@@ -337,7 +338,7 @@ fn several_inputs_become_one_scene() {
     assert!(line.starts_with("error: joining the inputs: ") && line.contains("LinearDisplay"), "{line}");
 }
 
-/// A glTF of somebody else is y-up; our frame is y-down, and our writer turns it again for viewers.
+/// A foreign glTF is y-up; our frame is y-down, and our writer rotates it back for viewers.
 #[test]
 fn gltf_of_others_stays_upright() {
     let folder = tempfile::tempdir().unwrap();
@@ -355,7 +356,7 @@ fn gltf_of_others_stays_upright() {
         "buffers": [{ "uri": "points.bin", "byteLength": bytes.len() }],
     });
     std::fs::write(folder.path().join("theirs.gltf"), document.to_string()).unwrap();
-    // What `inspect` says is in the frame of crops, of the meshes as of the nodes.
+    // `inspect` uses the frame of crops, for meshes as for nodes.
     let inspected = |name: &str| -> serde_json::Value {
         let output = common::centaur(folder.path()).args(["inspect", name, "--json"]).output().unwrap();
         serde_json::from_slice(&output.stdout).unwrap()
@@ -369,7 +370,7 @@ fn gltf_of_others_stays_upright() {
     assert_eq!(inspected("theirs.usda")["meshes"][0]["bounds"], bounds);
     let kept = as_json(folder.path(), "theirs.gltf kept.glb --keep-box=0,-3,-2,1,-1,-2");
     assert_eq!(kept["meshes"], 1, "{kept}");
-    // Unchanged it stays theirs; joined, it is written anew, in our frame.
+    // Unchanged, the document stays as it is; joined, it is written anew, in our frame.
     convert(folder.path(), "theirs.gltf same.glb --strict");
     let same = read(&folder.path().join("same.glb"));
     assert!(same.y_up && same.scene.meshes[0].positions()[1] == Vec3::new(1.0, -1.0, -2.0));
@@ -382,7 +383,7 @@ fn gltf_of_others_stays_upright() {
     let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
     assert_eq!(ours.scene.meshes[0].positions(), expected);
     assert!(!ours.y_up);
-    // Once ours, it stays where it is.
+    // Once in our frame, it stays unchanged.
     convert(folder.path(), "ours.glb again.glb");
     let again = read(&folder.path().join("again.glb"));
     assert_eq!(again.scene.meshes[0].positions(), expected);
@@ -435,7 +436,7 @@ fn every_reader_feeds_every_writer() {
     ply::write(&at("a.ply"), &original).unwrap();
     std::fs::create_dir(at("folder")).unwrap();
     format::sog::write(&at("folder/meta.json"), &original).unwrap();
-    // The INRIA layout once more, in ASCII.
+    // The INRIA layout in ASCII.
     let binary = std::fs::read(at("a.ply")).unwrap();
     let body = binary.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
     let header = String::from_utf8(binary[..body].to_vec()).unwrap().replace("binary_little_endian", "ascii");
@@ -470,7 +471,7 @@ fn every_reader_feeds_every_writer() {
             let found = format::read_scene(&at(&format!("out.{extension}"))).unwrap().splats;
             let said = format!("{reader} to .{extension}");
             assert_eq!((found.len(), found.sh_degree()), (50, most.min(*degree)), "{said}");
-            // Some formats have an order of their own.
+            // Some formats reorder splats.
             let mut order: Vec<usize> = (0..50).collect();
             order.sort_by(|&a, &b| found.means()[a].x.total_cmp(&found.means()[b].x));
             for (expected, &i) in order.iter().enumerate() {
@@ -505,7 +506,7 @@ fn hybrids_go_through_usd_and_back() {
         );
         assert_eq!(after.cameras.len(), 1);
     }
-    // The pictures of the .usda lie beside it, and nothing else is left.
+    // The pictures of the .usda are beside it, and no other files are left.
     let mut names: Vec<_> = folder.path().read_dir().unwrap().map(|e| e.unwrap().file_name()).collect();
     names.sort();
     let pictures = ["b_mesh_0_bands.exr", "b_mesh_0_base.exr", "b_mesh_0_color.png", "b_mesh_0_opacity.png"];
@@ -516,7 +517,7 @@ fn hybrids_go_through_usd_and_back() {
     assert!(summary.contains("b.usda: USD, ") && summary.contains("├ cameras: 1"), "{summary}");
 }
 
-/// `splats` with a label of 8 bits per splat, its number; the splats of `broken` have no finite mean.
+/// Writes `splats` with a label of 8 bits per splat, its index; the splats in `broken` have no finite mean.
 fn write_labelled(path: &Path, n: usize, broken: &[usize]) {
     ply::write(path, &splats(n, 0)).unwrap();
     let plain = std::fs::read(path).unwrap();
@@ -548,7 +549,7 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
         std::fs::read(folder.path().join("b.ply")).unwrap(),
         std::fs::read(folder.path().join("a.ply")).unwrap()
     );
-    // Mirrored at the origin: the Morton curve runs backwards.
+    // Mirrored at the origin, the Morton order is reversed.
     convert(
         folder.path(),
         "a.ply b.ply --axes RUB:LDF --remove-sphere 0,0,0,0 --remove-box -4,-4,-4,-3,-3,-3 --morton",
@@ -557,7 +558,7 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
     convert(folder.path(), "a.ply a.ply -o b.ply");
     assert_eq!(labels("b.ply").map(|l| l.len()), Some(18));
 
-    // A mesh has no splats that could lack it.
+    // A mesh-only scene has no splats that could be missing.
     write_hybrid(&folder.path().join("h.glb"));
     let mut scene = format::read_scene(&folder.path().join("h.glb")).unwrap();
     scene.splats = Splats::empty(0);
@@ -589,7 +590,7 @@ fn invalid_splats_are_refused_or_dropped() {
     let left = ply::read_with(&folder.path().join("b.ply"), &format::ReadOptions::default()).unwrap();
     assert_eq!(left.attributes[0].values(), [1.0, 2.0, 4.0]);
     assert_eq!(as_json(folder.path(), "a.ply b.ply --drop-invalid")["inputs"][0]["dropped"].as_u64(), Some(2));
-    // What is read whole or not at all, where it is.
+    // Formats that are read whole or not at all, with the place of the fault.
     for whole in ["b.spz", "b.compressed.ply", "b.glb"] {
         convert(folder.path(), &format!("b.ply {whole}"));
         let note = format!(
@@ -604,7 +605,7 @@ fn invalid_splats_are_refused_or_dropped() {
     assert!(!said.contains("no effect"), "{said}");
 }
 
-/// As clusters set it: no end without a word that leaves half a file.
+/// As clusters set it: the program must not end silently and leave half a file.
 #[cfg(unix)]
 #[test]
 fn a_limit_on_the_size_of_files_is_an_error() {

@@ -1,4 +1,5 @@
-//! Photographs with masks or alpha, by the command line: what scenes of them say of their training, and what is behind what is transparent.
+//! Photographs with masks or alpha on the command line: what their scenes record of training, and the background behind
+//! transparent content.
 
 use std::path::Path;
 
@@ -15,7 +16,7 @@ fn run(folder: &Path, line: &str) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// With other masks than in training scores are of something else, and so they are from other places.
+/// Scores with masks other than those of training, or of a moved scene, are not comparable.
 #[test]
 fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
     let folder = tempfile::tempdir().unwrap();
@@ -57,7 +58,7 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
         let note = run(folder.path(), "eval moved.glb capture --masks")["notes"][0].clone();
         assert!(note.as_str().is_some_and(|note| note.contains("it was moved")), "{moved}: {note}");
     }
-    // In another size, and where photographs have other names.
+    // With another picture size, and with other names of photographs.
     let notes = run(folder.path(), "eval scene.glb capture --masks --max-side 24")["notes"].clone();
     let expected = "photographs are 24×16, but the scene was trained on 48×32: to score it at that size";
     assert!(notes[0].as_str().is_some_and(|note| note.starts_with(expected)), "{notes}");
@@ -76,19 +77,19 @@ fn scenes_say_whether_they_were_trained_with_masks_and_from_there() {
     assert!(notes[0].as_str().is_some_and(|note| note.starts_with(expected)), "{notes}");
 }
 
-/// As of NeRF-synthetic, whose splats by other programs are for white and do not say so.
+/// As for NeRF-synthetic, where splats by other programs are meant for a white background without saying so.
 #[test]
 fn splats_of_others_are_shown_and_scored_over_white_if_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let capture = folder.path().join("capture");
     write_capture(&capture, 9, (48, 32));
-    // Black, and half transparent: 127/255 over white.
+    // Black and half transparent: 127/255 over white.
     for view in 0..9 {
         RgbaImage::from_pixel(48, 32, Rgba([0, 0, 0, 128]))
             .save(capture.join(format!("images/{view:03}.png")))
             .unwrap();
     }
-    // Too transparent to be seen.
+    // Too transparent to be visible.
     let (log_scales, logits) = (vec![Vec3::splat(-5.0)], vec![-20.0]);
     let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], log_scales, logits, 0, vec![[0.0; 3]]).unwrap();
     let unseen = HybridScene { splats, meshes: vec![], composition: Composition::default() };

@@ -1,4 +1,4 @@
-//! Flags of `centaur cameras` and `centaur mesh`, by what comes of them.
+//! Effects of flags of `centaur cameras` and `centaur mesh`.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -13,7 +13,7 @@ fn run(folder: &Path, command: &str) -> Vec<u8> {
     output.stdout
 }
 
-/// Where the cameras of a path stand that a command writes to `path.json`.
+/// Camera centres of a path that a command writes to `path.json`.
 fn centers(folder: &Path, command: &str) -> Vec<DVec3> {
     run(folder, command);
     let path: Value = serde_json::from_slice(&std::fs::read(folder.join("path.json")).unwrap()).unwrap();
@@ -22,7 +22,7 @@ fn centers(folder: &Path, command: &str) -> Vec<DVec3> {
     path["frames"].as_array().unwrap().iter().map(center).collect()
 }
 
-/// The cameras stand in a level circle of radius 1.5 about the origin.
+/// The capture's cameras are on a level circle of radius 1.5 around the origin.
 #[test]
 fn orbits_are_as_high_and_as_wide_as_they_are_asked_to_be() {
     let folder = tempfile::tempdir().unwrap();
@@ -44,7 +44,8 @@ fn orbits_are_as_high_and_as_wide_as_they_are_asked_to_be() {
     }
 }
 
-/// One that is closed has as far from its last frame to its first as between any two; the other ends at the last camera.
+/// In a closed path the last frame is as far from the first as consecutive frames are; an open one ends at the last
+/// camera.
 #[test]
 fn splines_are_closed_if_they_are_asked_to_be() {
     let folder = tempfile::tempdir().unwrap();
@@ -61,7 +62,7 @@ fn splines_are_closed_if_they_are_asked_to_be() {
 fn what_is_mended_of_a_mesh_and_how_far_it_is_compared_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     write_capture(&folder.path().join("capture"), 9, (32, 24));
-    // A sheet of 20 × 20 squares about the origin, without the four in its middle, and a crumb beside it.
+    // A sheet of 20 × 20 squares around the origin, without the four in its middle, and a small separate piece.
     let mut sheet = String::new();
     for (x, y) in (0..21).flat_map(|y| (0..21).map(move |x| (x, y))) {
         writeln!(sheet, "v {} {} 0", 0.05 * f64::from(x) - 0.5, 0.05 * f64::from(y) - 0.5).unwrap();
@@ -84,7 +85,7 @@ fn what_is_mended_of_a_mesh_and_how_far_it_is_compared_is_asked_for() {
         let found = json!([said["holes_closed"], said["triangles"]["cleaned"]]);
         assert_eq!(found, json!([holes, triangles]), "{flags}");
     }
-    // 1 % of the diagonal of what is compared of the truth.
+    // 1 % of the diagonal of the compared part of the truth.
     let within = |flags: &str| mesh(flags)["truth"]["within"].as_f64().unwrap();
     let diagonal = 1.14_f64.hypot(1.0);
     assert!((within(" --truth sheet.obj") - 0.01 * diagonal).abs() < 1e-6);

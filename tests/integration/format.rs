@@ -1,4 +1,4 @@
-//! Readers on files that nobody of this project made. `CENTAUR_DATA` names the folder (default `../shared/data`).
+//! Readers on files made by other projects. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use crate::common::data;
 use centaur::format::{inspect, mesh_import, ply, read_scene};
@@ -43,7 +43,7 @@ fn spot_and_bob() {
         let mesh = mesh_import::read(&data(&format!("mesh_spot_bob/{file}"))).unwrap();
         assert_eq!((mesh.positions.len(), mesh.triangles.len()), (vertices, triangles), "{file}");
         assert!(mesh.corner_uvs.is_some(), "{file}");
-        // Both are closed: Euler's formula says which genus (a cow is a sphere, a swim ring is not).
+        // Both are closed: Euler's formula gives the genus (a cow is a sphere, a swim ring is not).
         let mut edges: Vec<_> = mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
         edges.iter_mut().for_each(|e| *e = (e.0.min(e.1), e.0.max(e.1)));
         edges.sort_unstable();
@@ -56,7 +56,7 @@ fn spot_and_bob() {
 #[test]
 #[ignore = "needs shared data"]
 fn khronos_samples_import() {
-    // Name, triangles, whether the UVs are one atlas. From the sample's accessors.
+    // Name, number of triangles, and whether the UVs form one atlas, from the sample's accessors.
     let samples = [
         ("Suzanne/glTF/Suzanne.gltf", 3936, true),
         ("Fox/glTF-Binary/Fox.glb", 576, true),

@@ -1,4 +1,4 @@
-//! glTF of other programs: compressed meshes, Khronos' samples through a round trip, Khronos' schema.
+//! glTF of other programs: compressed meshes, Khronos' samples through a round trip, and Khronos' schema.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 const KEEP: ReadOptions<'_> = ReadOptions { drop_invalid: false, keep_document: true, time: None, animations: &[] };
 
-/// The JSON of a `.glb` or `.gltf`.
+/// JSON of a `.glb` or `.gltf`.
 fn json_of(path: &Path) -> Value {
     let bytes = std::fs::read(path).unwrap();
     if !bytes.starts_with(b"glTF") {
@@ -22,9 +22,9 @@ fn json_of(path: &Path) -> Value {
 
 #[test]
 fn tori_compressed_by_gltfpack_and_gltf_transform() {
-    // Made from torus.py's file by gltfpack 1.3 (`-cc -kn -ce ext`; `-cc -kn -ce khr -vpf -vtf -vnf`) and by glTF-Transform
-    // 4.5.1 (`meshopt --level high`). Between them they use every mode but INDICES and every filter but COLOR. Positions have
-    // 14 bits or more over 2.5 units, texture coordinates 12.
+    // Made from the file of torus.py by gltfpack 1.3 (`-cc -kn -ce ext`; `-cc -kn -ce khr -vpf -vtf -vnf`) and by
+    // glTF-Transform 4.5.1 (`meshopt --level high`). Together they use every mode but INDICES and every filter but
+    // COLOR. Positions have 14 bits or more over 2.5 units, texture coordinates 12.
     for (name, remainder) in
         [("ext_quantized", "1 animation"), ("khr_float", "1 animation"), ("transform_high", "1 animation")]
     {
@@ -111,7 +111,7 @@ fn a_figure_stands_as_its_joints_do() {
     let positions = scene.meshes[0].positions();
     let low = positions.iter().copied().reduce(Vec3::min).unwrap();
     let high = positions.iter().copied().reduce(Vec3::max).unwrap();
-    // Its height is along y, where the stored positions have it along z: 1.5 units.
+    // Its height of 1.5 units is along y, although stored positions have it along z.
     let size = high - low;
     assert!(size.y > 1.3 && size.y < 1.7 && size.y > size.x && size.y > size.z, "{low} to {high}");
 }

@@ -1,5 +1,5 @@
-//! The reference and the GPU against images and gradients of gsplat's torch reference on its garden data, which
-//! `tests/oracles/gsplat_oracle.py` computes in f64 and stores as a fixture (its layout stands there).
+//! The reference and the GPU compared with images and gradients of gsplat's torch reference on its garden data, which
+//! `tests/oracles/gsplat_oracle.py` computes in f64 and stores as a fixture (its layout is described there).
 
 use std::path::PathBuf;
 
@@ -9,14 +9,14 @@ use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 use glam::{DMat3, DVec3, Quat, Vec3};
 use safetensors::{Dtype, SafeTensors};
 
-/// The fixture's scene, and what gsplat makes of it.
+/// The fixture's scene with gsplat's results.
 struct Fixture {
     scene: HybridScene,
     camera: Camera,
     image: Image,
-    /// The given derivative of the loss with respect to the image.
+    /// Given derivative of the loss by the image.
     cotangent: Image,
-    /// `(class, derivative with respect to each parameter)`, those of the quaternions at unit norm.
+    /// `(class, derivative by each parameter)`, for quaternions at unit norm.
     gradients: [(&'static str, Vec<f64>); 5],
 }
 
@@ -32,7 +32,7 @@ fn values(file: &SafeTensors<'_>, name: &str) -> Vec<f64> {
     }
 }
 
-/// Rows of a tensor that holds f32.
+/// Rows of a tensor that contains f32 values.
 fn rows<const N: usize>(values: &[f64]) -> impl Iterator<Item = [f32; N]> {
     values.chunks_exact(N).map(|row| std::array::from_fn(|i| row[i] as f32))
 }
@@ -69,7 +69,7 @@ fn fixture() -> Fixture {
     let rotation = DMat3::from_cols_array(&[m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]]).transpose();
     let camera = Camera::new(intrinsics, rotation, DVec3::new(m[3], m[7], m[11])).unwrap();
 
-    // q/|q| is blind to the norm, so its derivative falls as 1/|q|.
+    // q/|q| does not depend on the norm, so its derivative is proportional to 1/|q|.
     let norms = quaternions.iter().map(|q| q.iter().map(|c| f64::from(*c).powi(2)).sum::<f64>().sqrt());
     let at_unit_norm = |gradient: Vec<f64>| {
         gradient.chunks_exact(4).zip(norms).flat_map(|(g, norm)| [0, 1, 2, 3].map(|i| g[i] * norm)).collect()
@@ -99,8 +99,8 @@ fn fixture() -> Fixture {
     }
 }
 
-/// Mean absolute difference of colours outside threshold pixels, the number of those, and the largest difference in
-/// them.
+/// Mean absolute difference of colours outside threshold pixels, the number of threshold pixels, and the largest
+/// difference in these.
 fn compare(found: &[[f64; 3]], expected: &[[f64; 3]], margins: &[Margin], tolerance: &Margin) -> (f64, usize, f64) {
     assert_eq!((found.len(), margins.len()), (expected.len(), expected.len()));
     let (mut sum, mut exempt, mut largest) = (0.0, 0, 0f64);
@@ -117,7 +117,7 @@ fn compare(found: &[[f64; 3]], expected: &[[f64; 3]], margins: &[Margin], tolera
     (sum / (3 * (expected.len() - exempt)) as f64, exempt, largest)
 }
 
-/// |found − expected| / |expected| of all of a class.
+/// |found − expected| / |expected| over a whole class.
 fn relative(found: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
@@ -131,7 +131,7 @@ fn reference_and_gpu_agree_with_gsplat() {
     let pixels = image.rgb.len();
     eprintln!("{} splats, {}×{} pixels", scene.splats.len(), image.width, image.height);
 
-    // Both compute in f64 from the same f32 numbers; the camera's rotation, made orthonormal here, differs by 1e-7.
+    // Both compute in f64 from the same f32 numbers; the camera's rotation, orthonormalised here, differs by 1e-7.
     let (found, margins) = reference::render_with_margins(&scene, &camera);
     let near = Margin { alpha: 1e-5, order: 1e-6, edge: 0.0, stop: 1e-5 };
     let (mean, exempt, largest) = compare(&found.rgb, &image.rgb, &margins, &near);
@@ -159,7 +159,7 @@ fn reference_and_gpu_agree_with_gsplat() {
     let gpu = Gpu::open(None).unwrap();
     let picture = Renderer::new(&gpu, &scene, &[camera]).unwrap().render(&camera).unwrap();
     let rgb: Vec<_> = picture.rgb.iter().map(|p| p.map(f64::from)).collect();
-    // f32 throughout: alpha errs by up to 1e-5 of itself after the projection.
+    // f32 throughout: after projection, alpha has a relative error of up to 1e-5.
     let near = Margin { alpha: 1e-4, order: 1e-6, edge: 0.0, stop: 1e-4 };
     let (mean, exempt, largest) = compare(&rgb, &image.rgb, &margins, &near);
     eprintln!("{}: mean abs {mean:.2e}, {exempt} threshold pixels with at most {largest:.2e}", gpu.adapter());

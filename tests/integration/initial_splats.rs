@@ -1,4 +1,4 @@
-//! The first splats of real captures (`CENTAUR_DATA`, else `../shared/data`).
+//! Initial splats of real captures (`CENTAUR_DATA`, else `../shared/data`).
 
 use crate::common::data;
 use centaur::{
@@ -44,7 +44,7 @@ fn splats_from_cameras_alone_are_where_the_points_are() {
             p.cmpge(low).all() && p.cmple(high).all()
         });
         let share = inside.count() as f64 / capture.points.len() as f64;
-        // All of them when this was written; wrong matches may lie anywhere.
+        // All of them when this was written; wrongly matched points can be anywhere.
         assert!(share > 0.99, "{name}: {share}");
     }
 }

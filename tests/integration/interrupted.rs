@@ -1,4 +1,4 @@
-//! What Ctrl-C and terminations leave behind: files that are whole, under the names that they had or were to get.
+//! Results of Ctrl-C and of termination signals: complete files, under their old or their intended names.
 
 use std::io::{BufRead as _, BufReader};
 use std::os::unix::process::ExitStatusExt as _;
@@ -16,7 +16,7 @@ fn start(folder: &Path, arguments: &str) -> Child {
     command.args(arguments.split(' ')).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// Whether there came to be what is waited for before the program ended.
+/// Waits for a condition; returns whether it became true before the program ended.
 fn wait_for(child: &mut Child, what: &str, mut is_so: impl FnMut() -> bool) -> bool {
     for _ in 0..60_000 {
         if is_so() {
@@ -44,7 +44,7 @@ fn what_was_being_written_is_gone() {
     );
     ply::write(&folder.path().join("in.ply"), &splats.unwrap()).unwrap();
     for (signal, number) in [("INT", 2), ("TERM", 15)] {
-        // One that is done before it hears of the signal, as on a busy machine, says nothing of it.
+        // On a busy machine the program can finish before it receives the signal, and then says nothing of it.
         let ended = (0..20).find_map(|_| {
             let mut child = start(folder.path(), "convert in.ply out.usda");
             let is_writing = wait_for(&mut child, "a file in a temporary folder", || {
@@ -64,7 +64,8 @@ fn what_was_being_written_is_gone() {
     }
 }
 
-/// Sends a signal when the first view has been scored or rendered, as lines of progress call it; what is said then, and the exit code.
+/// Sends a signal when the first view has been scored or rendered, according to progress lines; returns the remaining
+/// output and the exit code.
 fn stopped(
     folder: &Path,
     arguments: &str,
@@ -77,7 +78,7 @@ fn stopped(
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
     let phase = format!(r#""phase":"{phase}""#);
     assert!(lines.any(|line| line.contains(&phase)), "{arguments}: nothing is begun");
-    // Held, it does not go on while the signal is on its way.
+    // Stopped, the program does not continue while the signal is on its way.
     for signal in ["STOP", signal, "CONT"] {
         common::send(signal, &child.id().to_string());
     }
@@ -87,7 +88,7 @@ fn stopped(
     (serde_json::from_slice(&output.stdout).unwrap(), output.status.code())
 }
 
-/// By a termination as by Ctrl-C.
+/// For termination as for Ctrl-C.
 #[test]
 fn scoring_and_rendering_stop_and_the_scene_stays() {
     let folder = tempfile::tempdir().unwrap();
@@ -102,7 +103,7 @@ fn scoring_and_rendering_stop_and_the_scene_stays() {
     centaur::format::read_scene(&folder.path().join(files[0])).unwrap();
     assert!(folder.path().join(files[1]).is_file());
 
-    // What told of all views was of other pictures.
+    // The summary of all views was of other pictures.
     let at = |name: &str| folder.path().join(name);
     std::fs::create_dir(at("scores")).unwrap();
     std::fs::write(at("scores/metrics.json"), "{}").unwrap();
@@ -114,8 +115,8 @@ fn scoring_and_rendering_stop_and_the_scene_stays() {
     assert_eq!(said["pictures"].as_array().unwrap().len(), common::tree(&at("pictures")).len());
 }
 
-/// What is kept for resuming has served when all is written, and goes also where nobody reads what is printed then. What cannot be printed is a
-/// failure, from which a run goes on.
+/// The checkpoint is no longer needed once everything is written, and is removed even if nobody reads the output.
+/// Output that cannot be printed is a failure, after which a run can be resumed.
 #[test]
 fn a_checkpoint_goes_with_whoever_reads_the_result() {
     let folder = tempfile::tempdir().unwrap();
@@ -129,14 +130,15 @@ fn a_checkpoint_goes_with_whoever_reads_the_result() {
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     assert_eq!((train(writer.into()).code(), checkpoint.exists()), (Some(0), false));
-    // Linux alone has a file that never has room.
+    // Only Linux has a file that is always full.
     if let Ok(full) = std::fs::File::options().write(true).open("/dev/full") {
         assert_eq!((train(full.into()).code(), checkpoint.exists()), (Some(1), true));
         assert!(train(Stdio::null()).success());
     }
 }
 
-/// The first signal of two asks training to stop. Both are there when it goes on: between them it would have time to.
+/// The first of two signals asks training to stop. Both are pending when it continues: between them it would have time
+/// to finish.
 #[test]
 fn a_checkpoint_that_was_set_aside_is_back() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,7 +153,7 @@ fn a_checkpoint_that_was_set_aside_is_back() {
     for signal in ["STOP", "INT", "TERM", "CONT"] {
         common::send(signal, &child.id().to_string());
     }
-    // Systems do not say which of two that wait comes first.
+    // The order of two pending signals is not defined.
     assert!(matches!(child.wait().unwrap().signal(), Some(2 | 15)));
     assert_eq!(common::tree(folder.path()), before);
     assert_eq!(std::fs::read(at("scene.glb.checkpoint")).unwrap(), b"of another run");

@@ -1,5 +1,6 @@
-//! The bytes of every format of packed splats, put together by hand from what its owner says of it: a round trip tells nothing of a reader and a
-//! writer that are wrong in the same way. No two components of a mean, a scale, a rotation or a colour are the same.
+//! The bytes of every format of packed splats, assembled by hand from the specification: a round trip cannot reveal a
+//! reader and a writer that are wrong in the same way. No two components of a mean, a scale, a rotation or a colour are
+//! equal.
 
 use std::f64::consts::SQRT_2;
 use std::io::{Cursor, Read as _};
@@ -12,14 +13,14 @@ use half::f16;
 use image_webp::{ColorType, WebPDecoder, WebPEncoder};
 use serde_json::{Value, json};
 
-/// What a splat is to be read as.
+/// A splat as it is expected to be read.
 struct Row {
     mean: [f64; 3],
     log_scale: [f64; 3],
     wxyz: [f64; 4],
     opacity: f64,
     dc: [f64; 3],
-    /// Coefficients above 0.
+    /// Coefficients above band 0.
     bands: Vec<[f64; 3]>,
 }
 
@@ -39,12 +40,12 @@ fn splats(rows: &[Row]) -> Splats {
     .unwrap()
 }
 
-/// Coefficient 0 of the spherical harmonics that shows this colour.
+/// Coefficient 0 of the spherical harmonics for this colour.
 fn dc_of(rgb: [f64; 3]) -> [f64; 3] {
     rgb.map(|c| (c - 0.5) / 0.282_094_791_773_878_14)
 }
 
-/// A quaternion of length 1 whose largest component, number `at`, is positive and not among these.
+/// A unit quaternion whose largest component, number `at`, is positive and not among `others`.
 fn with_largest(others: [f64; 3], at: usize) -> [f64; 4] {
     let largest = (1.0 - others.iter().map(|c| c * c).sum::<f64>()).sqrt();
     assert!(others.iter().all(|c| c.abs() < largest));
@@ -53,7 +54,7 @@ fn with_largest(others: [f64; 3], at: usize) -> [f64; 4] {
     all.try_into().unwrap()
 }
 
-/// The same with every rotation as the other quaternion that says it.
+/// The same splats with every quaternion negated.
 fn negated(splats: &Splats) -> Splats {
     let mut arrays = splats.clone().into_arrays();
     arrays.rotations.iter_mut().for_each(|q| *q = -*q);
@@ -99,7 +100,7 @@ fn written<T>(name: &str, write: impl FnOnce(&Path) -> Result<T, FormatError>) -
     std::fs::read(path).unwrap()
 }
 
-/// 32 bits of fields, each with its number of bits, from the top.
+/// A word of 32 bits from fields, each with its number of bits, starting at the top.
 fn word(fields: &[(u32, u32)]) -> u32 {
     assert_eq!(fields.iter().map(|(bits, _)| bits).sum::<u32>(), 32);
     fields.iter().fold(0_u32, |word, (bits, value)| word << bits | value)
@@ -113,24 +114,24 @@ fn shorts(values: &[u16]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// `PlayCanvas`: words of 11, 10 and 11 bits between the bounds of a chunk, the colour in 4 bytes, the smallest three of (w, x, y, z) in 10 bits
-/// behind the number of the largest.
+/// `PlayCanvas`: words of 11, 10 and 11 bits between the bounds of a chunk, the colour in 4 bytes, and the smallest
+/// three of (w, x, y, z) in 10 bits each after the index of the largest.
 #[test]
 fn compressed_ply() {
     const BOUNDS: &str = "min_x min_y min_z max_x max_y max_z min_scale_x min_scale_y min_scale_z max_scale_x max_scale_y max_scale_z \
                           min_r min_g min_b max_r max_g max_b";
     const LEVELS: [u32; 3] = [2047, 1023, 2047];
-    // Least and greatest means, logarithms of scales and colours.
+    // Least and greatest means, logarithms of scales, and colours.
     let bounds: [[[f64; 3]; 2]; 3] = [
         [[-1.0, 0.0, 2.0], [1.0, 1.0, 6.0]],
         [[-6.0, -5.0, -4.0], [-2.0, -3.0, -1.0]],
         [[0.375, 0.5, 0.625], [0.75, 1.0, 0.875]],
     ];
-    // In the order of a Morton curve, in which they are written, each bound being reached.
+    // In Morton order, in which they are written, with all bounds reached.
     let means: [[u32; 3]; 4] = [[0, 0, 0], [500, 300, 700], [1500, 100, 1500], [2047, 1023, 2047]];
     let scales: [[u32; 3]; 4] = [[2047, 0, 900], [1000, 400, 2047], [300, 1023, 0], [0, 700, 1500]];
     let colors: [[u32; 4]; 4] = [[0, 255, 51, 10], [255, 0, 204, 100], [102, 153, 0, 200], [204, 51, 255, 250]];
-    // Of each rotation, in which another component is the largest.
+    // Smallest three components of each rotation, with another largest component in each.
     let others: [u32; 3] = [600, 300, 450];
     let harmonics = |i: usize| {
         let mut bytes: [u8; 9] = [7, 255, 17, 128, 60, 200, 33, 90, 0];
@@ -160,7 +161,7 @@ fn compressed_ply() {
     let between = |[low, high]: [[f64; 3]; 2], codes: [u32; 3], levels: [u32; 3]| -> [f64; 3] {
         std::array::from_fn(|k| low[k] + (high[k] - low[k]) * f64::from(codes[k]) / f64::from(levels[k]))
     };
-    // The middle of the bin, but for the first and the last.
+    // The middle of the bin, except for the first and the last.
     let coefficient = |byte: u8| match byte {
         0 => -4.0,
         255 => 4.0,
@@ -174,7 +175,7 @@ fn compressed_ply() {
             wxyz: with_largest(others.map(|code| (f64::from(code) / 1023.0 - 0.5) * SQRT_2), i),
             opacity: f64::from(a) / 255.0,
             dc: dc_of(between(bounds[2], [r, g, b], [255; 3])),
-            // All of red come first.
+            // All coefficients of red come first.
             bands: (0..3).map(|k| [0, 3, 6].map(|channel| coefficient(bytes[channel + k]))).collect(),
         }
     };
@@ -185,7 +186,7 @@ fn compressed_ply() {
     }
 }
 
-/// antimatter15: mean and linear scales in f32, red, green, blue and opacity, (w, x, y, z) about 128.
+/// antimatter15: mean and linear scales in f32, red, green, blue and opacity, and (w, x, y, z) with an offset of 128.
 #[test]
 fn splat_rows() {
     let means = [[1.5, -2.25, 0.125], [-7.0, 3.0, 40.5]];
@@ -210,7 +211,7 @@ fn splat_rows() {
     assert_bytes(&written("a.splat", |path| splat::write(path, &expected)), &file);
 }
 
-/// What is in an SPZ of [`spz_of_every_version`]: the header, and the attributes one after the other.
+/// Decompressed content of an SPZ of [`spz_of_every_version`]: the header and the attributes one after the other.
 fn unpacked_spz(file: &[u8]) -> Vec<u8> {
     if file.starts_with(&[0x1f, 0x8b]) {
         let mut content = vec![];
@@ -229,8 +230,9 @@ fn unpacked_spz(file: &[u8]) -> Vec<u8> {
     content
 }
 
-/// Niantic: 24 bits of means with 12 behind the point, then bytes; rotations are (x, y, z), or the smallest three of (x, y, z, w) in a sign and 9
-/// bits behind the number of the largest. Of its axes y and z point the other way.
+/// Niantic: 24 bits per mean component with 12 fractional bits, then bytes; rotations are (x, y, z), or the smallest
+/// three of (x, y, z, w) as a sign and 9 bits each after the index of the largest. Its y and z axes point in the
+/// opposite directions.
 #[test]
 fn spz_of_every_version() {
     let means: [[i32; 3]; 4] =
@@ -241,7 +243,7 @@ fn spz_of_every_version() {
     let scales: [[u8; 3]; 4] = [[0, 100, 255], [32, 33, 34], [90, 80, 70], [160, 161, 162]];
     let first_three: [[u8; 3]; 4] = [[150, 60, 200], [60, 200, 150], [200, 150, 60], [90, 140, 30]];
     let smallest_three: [i32; 3] = [100, -200, 300];
-    // Multiples of what 5 bits tell apart.
+    // Multiples of the resolution of 5 bits.
     let harmonics = |i: usize| {
         let mut bytes: [[u8; 3]; 3] = [[16, 72, 136], [200, 248, 40], [96, 160, 224]];
         bytes.as_flattened_mut().rotate_left(i);
@@ -259,13 +261,13 @@ fn spz_of_every_version() {
             if number == 2 { first_three.as_flattened().to_vec() } else { (0..4).flat_map(smallest).collect() },
             (0..4).flat_map(|i| harmonics(i).as_flattened().to_vec()).collect(),
         ];
-        // Version, number of splats, degree, bits behind the point, flags.
+        // Version, number of splats, degree, fractional bits, flags.
         let mut file = [&b"NGSP"[..], &[number, 0, 0, 0], &[4, 0, 0, 0], &[1, 12, 0]].concat();
         if number < 4 {
             file.push(0);
             file.extend(streams.concat());
         } else {
-            // The number of streams, and where the table of their sizes is.
+            // Number of streams, and offset of the table of their sizes.
             file.extend([6, 32, 0, 0, 0]);
             file.resize(32, 0);
             let frames = streams.each_ref().map(|stream| zstd::bulk::compress(stream, 1).unwrap());
@@ -303,7 +305,7 @@ fn spz_of_every_version() {
     }
 }
 
-/// Lossless, row by row, with texels to spare.
+/// Lossless `WebP`, row by row, with unused texels at the end.
 fn webp(width: usize, texels: &[[u8; 4]]) -> Vec<u8> {
     let mut texels = texels.to_vec();
     texels.resize(texels.len().next_multiple_of(4 * width), [0, 0, 0, 255]);
@@ -321,19 +323,20 @@ fn texels(webp: &[u8]) -> Vec<[u8; 4]> {
     bytes.chunks_exact(channels).map(|t| [t[0], t[1], t[2], *t.get(3).unwrap_or(&255)]).collect()
 }
 
-/// `PlayCanvas`: two images for 16 bits of a signed logarithm, bytes of scales, colours and harmonics that name values of codebooks, the smallest
-/// three of (w, x, y, z) as red, green and blue with the number of the largest after 252 as alpha, opacities as the alpha of colours.
+/// `PlayCanvas`: two images with 16 bits of a signed logarithm; bytes of scales, colours and harmonics that index
+/// codebooks; the smallest three of (w, x, y, z) as red, green and blue with 252 plus the index of the largest as
+/// alpha; opacities as the alpha of colours.
 #[test]
 fn sog_images() {
     let (least, most) = ([-1.0, 0.0, 0.5], [1.0, 2.0, 1.5]);
-    // In the order of a Morton curve, in which they are written, each bound being reached.
+    // In Morton order, in which they are written, with all bounds reached.
     let means: [[u16; 3]; 4] = [[0; 3], [0x1234, 0x2345, 0x3456], [0x8765, 0x1122, 0x6789], [0xffff; 3]];
     let scales: [[u8; 3]; 4] = [[0, 100, 255], [32, 33, 34], [90, 80, 70], [160, 161, 162]];
     let others: [u8; 3] = [200, 50, 150];
     let colors: [[u8; 4]; 4] = [[1, 128, 254, 10], [20, 30, 40, 100], [50, 60, 70, 200], [200, 210, 220, 250]];
-    // Of both bytes of a label, and of another row of 64 entries.
+    // Labels that use both bytes, and another row of 64 entries.
     let labels: [u16; 4] = [1, 0, 65, 258];
-    // Of entry `n` of the palette, coefficient k + 1.
+    // Coefficient k + 1 of entry `n` of the palette.
     let entry = |n: usize, k: usize| [0, 85, 170].map(|channel| ((7 * n + 31 * k + channel) % 256) as u8);
     let codebook = |first: f64, step: f64| (0..256).map(|i| first + step * f64::from(i)).collect::<Vec<f64>>();
     let [of_scales, of_colors, of_bands] =
@@ -386,7 +389,7 @@ fn sog_images() {
     std::fs::write(folder.path().join("meta.json"), meta.to_string()).unwrap();
     assert_near(&format::read_scene(&folder.path().join("meta.json")).unwrap().splats, &expected, 2e-6);
 
-    // Codebooks and palettes are the writer's own.
+    // Codebooks and palettes are the writer's choice.
     for splats in [expected.clone(), negated(&expected)] {
         let folder = tempfile::tempdir().unwrap();
         sog::write(&folder.path().join("meta.json"), &splats).unwrap();
@@ -419,8 +422,9 @@ fn sog_images() {
     }
 }
 
-/// mkkellogg, in one section of two buckets: f32, or means in 16 bits about the centre of a bucket and f16, and at level 2 harmonics in bytes; (w, x,
-/// y, z); harmonics band by band, in a band all of red first.
+/// mkkellogg, in one section of two buckets: f32, or means in 16 bits relative to the centre of a bucket and f16, and
+/// at level 2 harmonics in bytes; (w, x, y, z); harmonics band by band, and all coefficients of red first within a
+/// band.
 #[test]
 fn ksplat_of_every_level() {
     const HEADERS: usize = 4096 + 1024;
@@ -435,7 +439,7 @@ fn ksplat_of_every_level() {
 
     for (level, code) in [(ksplat::Level::Float, 0), (ksplat::Level::Half, 1), (ksplat::Level::HalfAndByte, 2)] {
         let [low, high] = if code == 2 { [-1.5, 1.25] } else { [-0.75, 0.6875] };
-        // Of the 24 numbers behind coefficient 0, as they stand in the file.
+        // Byte `j` of the 24 numbers after coefficient 0, in the order of the file.
         let harmonic_byte = |j: usize| if j == 23 { 255 } else { 11 * j as u8 };
         let harmonic = |j: usize| match code {
             2 => low + f64::from(harmonic_byte(j)) / 255.0 * (high - low),
@@ -481,7 +485,7 @@ fn ksplat_of_every_level() {
         put(4096 + 40, &[2, 0]);
         let mut buckets = vec![];
         if code > 0 {
-            // Splats in a full bucket, buckets, side of a block, bytes and range of means, full and other buckets.
+            // Splats in a full bucket, buckets, side of a block, bytes and range of means, full and partial buckets.
             for (at, value) in [(8, 256), (12, 2), (20, 12), (24, 32_767), (32, 0), (36, 2)] {
                 put(4096 + at, &int(value));
             }
@@ -500,7 +504,7 @@ fn ksplat_of_every_level() {
             found[24..36].fill(0);
             assert_bytes(&found, &file);
         } else {
-            // Buckets, and with them means, are the writer's own; splats have one order, along x.
+            // Buckets, and with them means, are the writer's choice; splats have a unique order, along x.
             let size = stored.len() / 3;
             let last = found.split_off(found.len() - stored.len());
             for (found, expected) in last.chunks_exact(size).zip(stored.chunks_exact(size)) {
@@ -516,7 +520,7 @@ fn splats_of_gltf() {
     let means = [[1.0, 2.0, 3.0], [-4.0, 5.0, -6.0]];
     let scales = [[0.5, 0.25, 2.0], [4.0, 0.125, 1.0]];
     let opacities = [0.25, 0.75];
-    // (x, y, z, w), of length 127 or so.
+    // (x, y, z, w) with a length of about 127.
     let rotations: [[i8; 4]; 2] = [[26, -51, 77, 84], [-23, 46, 12, -115]];
     let harmonics = |i: usize| (0..4_usize).map(move |k| [0, 1, 2].map(|c| 0.1 * (3 * k + c) as f64 - 0.4 * i as f64));
     let row = |i: usize| {

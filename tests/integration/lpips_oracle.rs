@@ -1,5 +1,5 @@
-//! LPIPS against the package of its authors with random and with the published weights, at every depth: `make oracle-lpips` writes the fixture and
-//! names its folder in `CENTAUR_LPIPS_FIXTURE`.
+//! LPIPS compared with the authors' package with random and with the published weights, at every depth: `make
+//! oracle-lpips` writes the fixture and sets `CENTAUR_LPIPS_FIXTURE` to its folder.
 
 use std::path::Path;
 
@@ -39,7 +39,7 @@ fn every_depth_is_that_of_the_package() {
     }
 }
 
-/// What Brush's tests have for two pictures of theirs, by a port of the package.
+/// The value in Brush's tests for two of their pictures, by a port of the package.
 #[test]
 #[ignore = "needs `make oracle-lpips` with shared data"]
 fn a_distance_that_others_published() {

@@ -1,5 +1,5 @@
-//! The library on files of others, and the program as its users call it. One binary, since each is linked by itself; what counts the memory
-//! of its process has one of its own, beside this folder.
+//! The library on files of other programs, and the program as its users call it. A single binary, since each is linked
+//! separately; tests that count the memory of their process have their own, beside this folder.
 
 #![allow(
     clippy::unwrap_used,

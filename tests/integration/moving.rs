@@ -1,4 +1,4 @@
-//! Scenes that move, as a user meets them: inspected, converted at a time, rendered while they move.
+//! Animated scenes as a user meets them: inspected, converted at a point in time, rendered in motion.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use centaur::format::{ReadOptions, read_file, read_scene};
 use glam::Vec3;
 use serde_json::{Value, json};
 
-/// A triangle that slides by 2 along x in a second, on a node that is there twice, and a camera that keeps still.
+/// Writes a triangle that slides by 2 along x in a second, at a node that has a duplicate, and a resting camera.
 fn write_slide(folder: &Path) {
     let positions: [f32; 9] = [-1.0, -1.0, -4.0, 1.0, -1.0, -4.0, 0.0, 1.0, -4.0];
     let (times, slide): ([f32; 2], [f32; 6]) = ([0.0, 1.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
@@ -73,12 +73,12 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
     // y down, where it was y up.
     assert_eq!(posed.scene.meshes[0].positions()[2], Vec3::new(1.5, -1.0, 4.0));
     assert!(posed.source.unwrap().clips().is_empty());
-    // The document as it is has lost nothing.
+    // The unchanged document has lost nothing.
     assert_eq!(as_json(folder.path(), "convert a.gltf whole.glb --strict")["lossless"], true);
     let whole = read_file(&folder.path().join("whole.glb"), &ReadOptions::default()).unwrap();
     assert!(whole.source.unwrap().moves());
 
-    // Mitsuba holds one pose; Blender moves.
+    // Mitsuba holds one pose; Blender is animated.
     let lost = as_json(folder.path(), "convert a.gltf a.xml")["loss"]["document"].clone();
     assert_eq!(lost, json!(["1 animation"]));
     assert_eq!(
@@ -91,11 +91,11 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
     assert!(script.contains(r#""frames":31"#) && script.contains(r#""meshes":[0]"#));
     let arrays = std::fs::read(folder.path().join("a_motion.npz")).unwrap();
     assert!(arrays.starts_with(b"PK"));
-    // Moved as a whole it moves on.
+    // Transformed as a whole it stays animated.
     let outcome = as_json(folder.path(), "convert a.gltf b.blend.py --scale 2 --rotate 10,20,30");
     assert!(outcome["loss"]["document"].as_array().unwrap().is_empty(), "{outcome}");
     assert!(folder.path().join("b_motion.npz").exists());
-    // What was changed otherwise keeps still and says so, as does one moment of it, which was asked for.
+    // After other changes it is at rest and says so; a requested point in time is at rest without a loss.
     for (name, how, lost) in [("c", "--axes gltf:unity", json!(["1 animation"])), ("d", "--time 0.5", json!([]))] {
         let outcome = as_json(folder.path(), &format!("convert a.gltf {name}.blend.py {how}"));
         assert_eq!(outcome["loss"]["document"], lost, "{how}");
@@ -103,7 +103,7 @@ fn a_pose_is_baked_and_what_moved_it_is_named() {
     }
 }
 
-/// Its world is y up, as none of Centaur's is.
+/// The file's world is y up, unlike any of Centaur's.
 #[test]
 fn cameras_of_others_stay_where_they_are_in_every_format() {
     let folder = tempfile::tempdir().unwrap();
@@ -133,7 +133,7 @@ fn animations_are_chosen_by_name() {
     write_slide(folder.path());
     let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
     let mut document: Value = serde_json::from_str(&text).unwrap();
-    // The same node, up by 4.
+    // A further animation moves the same node up by 4.
     let rise: Vec<u8> = [0.0_f32, 0.0, 0.0, 0.0, 4.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     std::fs::write(folder.path().join("rise.bin"), &rise).unwrap();
     let mut add = |list: &str, what: Value| document[list].as_array_mut().unwrap().push(what);
@@ -176,7 +176,7 @@ fn animations_are_chosen_by_name() {
         let error = common::wrong_usage(folder.path(), common::centaur(folder.path()).args(args));
         assert!(error.contains("only a .blend.py is animated by it") && error.contains("without --time"), "{error}");
     }
-    // That one of them wins is said where they are played, not at rest.
+    // A note that one of two animations is ignored appears only if they are played, not at rest.
     for (flags, is_said) in [("--time 0..0.5 --fps 2", true), ("", false)] {
         let said = run(folder.path(), format!("render b.gltf --camera front -o said --quiet {flags}").trim_end());
         let note = "note: b.gltf: /animations: 1 of 2 move something that an earlier one moves: there the earlier one is played; --animation selects one\n";
@@ -186,7 +186,7 @@ fn animations_are_chosen_by_name() {
     assert!(said.contains("--animation has no effect, and the scene is shown in its rest pose"), "{said}");
 }
 
-/// Frames a second are of frames: photographs and other stills show a scene that moves as it rests.
+/// A frame rate applies to frames: photographs and other stills show an animated scene at rest.
 #[test]
 fn stills_have_no_time() {
     let folder = tempfile::tempdir().unwrap();
@@ -201,14 +201,14 @@ fn stills_have_no_time() {
     assert!(rest == film && rest.len() == 9);
     let note = "note: capture: its cameras are not frames of a path and have no times: --fps has no effect, and the scene is shown in its rest pose";
     assert!(said.contains(note), "{said}");
-    // It would be seen to move, also where the first does not see it.
+    // Motion would be visible, even though the first view does not see it.
     assert!(rest[1..] != pictures("moved", " --time 1").1[1..]);
-    // A key at 0.75 s is none of a still.
+    // A key at 0.75 s does not concern a still.
     let said = run(folder.path(), "cameras convert capture -o one.json --camera 003.png --fps 4");
     assert!(!said.contains("begins at"), "{said}");
 }
 
-/// A triangle that slides out of what numbers can say.
+/// A triangle that slides beyond the range of numbers.
 #[test]
 fn what_fails_late_leaves_no_empty_folder() {
     let folder = tempfile::tempdir().unwrap();
@@ -225,7 +225,7 @@ fn what_fails_late_leaves_no_empty_folder() {
     assert!(error.starts_with("error: a.gltf: ") && error.contains("finite"), "{error}");
 }
 
-/// Its picture takes some kilobytes, its map a megabyte.
+/// Its picture takes a few kilobytes, its map a megabyte.
 #[test]
 fn what_becomes_large_says_why() {
     let folder = tempfile::tempdir().unwrap();
@@ -289,7 +289,7 @@ fn pictures_are_of_their_time() {
     };
     run(folder.path(), "render a.gltf -o rest --quiet");
     run(folder.path(), "render a.gltf -o at --time 0.5 --quiet");
-    // fx is 30, the triangle 4 away and 1 further right.
+    // fx is 30, and the triangle is 4 away and 1 further to the right.
     assert!((bright("at/front.png") - bright("rest/front.png") - 7.5).abs() < 0.6);
     run(folder.path(), "render a.gltf -o span --time 0..0.5 --fps 4 --quiet");
     assert_eq!(common::tree(&folder.path().join("span")).len(), 3);
@@ -305,7 +305,7 @@ fn pictures_are_of_their_time() {
         let said = run(folder.path(), &format!("render a.gltf -o late --time {time} --fps 2 --quiet"));
         assert_eq!(said.contains(beyond), is_said, "{time}: {said}");
     }
-    // A camera that slides along sees it where it was.
+    // A camera that slides along sees the triangle in the same place.
     let text = std::fs::read_to_string(folder.path().join("a.gltf")).unwrap();
     let mut document: Value = serde_json::from_str(&text).unwrap();
     let along = json!({ "sampler": 0, "target": { "node": 1, "path": "translation" } });
@@ -313,7 +313,7 @@ fn pictures_are_of_their_time() {
     std::fs::write(folder.path().join("along.gltf"), document.to_string()).unwrap();
     run(folder.path(), "render along.gltf -o along --time 0.5 --quiet");
     assert_eq!(read("along/front.png"), read("rest/front.png"));
-    // A path of cameras without a scene of its own plays the scene at its frames.
+    // A camera path without a scene plays the scene at the times of its frames.
     run(folder.path(), "cameras orbit a.gltf -o path.json --frames 3 --fps 4 --focus 0,0,-4 --radius 4");
     run(folder.path(), "render a.gltf --cameras path.json -o moving --quiet");
     run(folder.path(), "render a.gltf --cameras path.json -o still --time 0 --quiet");
@@ -322,7 +322,7 @@ fn pictures_are_of_their_time() {
         read("moving") == read("still")
     };
     assert!(same("frame_00000.png") && !same("frame_00002.png"));
-    // One frame of a path is that of the whole path.
+    // A single frame of a path equals that frame in the whole path.
     run(folder.path(), "render a.gltf --cameras path.json --camera frame_00002.png -o one --quiet");
     let read = |run: &str| std::fs::read(folder.path().join(run).join("frame_00002.png")).unwrap();
     assert!(read("one") == read("moving"));

@@ -1,4 +1,5 @@
-//! The reference against images of gsplat: the two cases of Brush's test data (`oracle_brush` of the shared data).
+//! The reference compared with images of gsplat: the two cases of Brush's test data (`oracle_brush` of the shared
+//! data).
 
 use crate::common::data;
 use centaur::render::reference;
@@ -6,7 +7,7 @@ use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 use glam::{DMat3, DVec3, Quat, Vec3};
 use safetensors::SafeTensors;
 
-/// A tensor of f32 with its shape.
+/// A tensor of f32 values with its shape.
 fn tensor(file: &SafeTensors<'_>, name: &str) -> (Vec<usize>, Vec<f32>) {
     let view = file.tensor(name).unwrap();
     (view.shape().to_vec(), view.data().chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect())
@@ -36,7 +37,7 @@ fn error_of(case: &str) -> f64 {
     let (width, height) = (shape[1] as u32, shape[0] as u32);
     let (w, h) = (f64::from(width), f64::from(height));
     let intrinsics = Intrinsics { width, height, fx: 0.5 * w, fy: 0.5 * w, cx: 0.5 * w, cy: 0.5 * h };
-    // The cases' camera, which stands in their source and not in the files (SOURCE.md).
+    // The camera of the cases is in their source, not in the files (SOURCE.md).
     let camera = Camera::new(intrinsics, DMat3::IDENTITY, -DVec3::new(0.123, 0.456, -8.0)).unwrap();
     let composition = Composition { near: 0.01, ..Composition::default() };
     let image = reference::render(&HybridScene { splats, meshes: vec![], composition }, &camera);
@@ -44,11 +45,11 @@ fn error_of(case: &str) -> f64 {
     let rgba = image.rgb.iter().zip(&image.transmittance).flat_map(|([r, g, b], t)| [*r, *g, *b, 1.0 - t]);
     assert_eq!(expected.len(), 4 * image.rgb.len());
     assert!(expected.iter().any(|v| *v > 0.5), "the image is empty");
-    // By the total order NaN is the largest.
+    // NaN is the largest in the total order.
     rgba.zip(expected).map(|(a, b)| (a - f64::from(b)).abs()).max_by(f64::total_cmp).unwrap()
 }
 
-/// f32 rasterisation of up to 16 overlapping splats errs by a few 1e-6.
+/// f32 rasterisation of up to 16 overlapping splats has errors of a few 1e-6.
 #[test]
 #[ignore = "needs shared data"]
 fn reference_renders_the_cases_of_brush() {

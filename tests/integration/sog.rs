@@ -1,5 +1,5 @@
-//! SOG files of `PlayCanvas`, of both versions, against what their own program (splat-transform 2.7.1, to PLY) makes of
-//! them. `CENTAUR_DATA` names the folder (default `../shared/data`).
+//! SOG files of `PlayCanvas` in both versions, compared with what their own program (splat-transform 2.7.1, to PLY)
+//! reads from them. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ fn row(splats: &Splats, i: usize) -> Vec<f32> {
     row
 }
 
-/// Six digits are given; the other program calculates in other steps.
+/// Values have six digits; the other program computes in a different order.
 fn assert_near(found: &[f32], expected: &[f32]) {
     assert_eq!(found.len(), expected.len());
     for (a, b) in found.iter().zip(expected) {
@@ -66,7 +66,7 @@ fn all_levels_of_detail_lie_in_their_bounds() {
     for (level, count) in [(2, 125_000), (3, 31_000), (4, 8406), (5, 3000), (6, 1873)] {
         let splats = sog::read(&data(&format!("playbot/{level}_0/meta.json"))).unwrap();
         assert_eq!((splats.len(), splats.sh_degree()), (count, 2));
-        // `tree.bound` of lod-meta.json, which takes in the extent of splats.
+        // `tree.bound` of lod-meta.json, which includes the extent of splats.
         let (low, high) = ([-1.034, -1.084, -1.040], [1.036, 0.053, 1.043]);
         let inside = |p: &glam::Vec3| p.cmpge(low.into()).all() && p.cmple(high.into()).all();
         assert!(splats.means().iter().all(inside));
@@ -90,10 +90,11 @@ fn what_was_quantised_once_stays() {
     let path = folder.path().join("again.sog");
     let report = sog::write(&path, &splats).unwrap();
     let e = report.loss.max_error;
-    // Codebooks hold the values that are there, means and opacities are on the same grid. So are rotations, unless two
-    // components are about as large: their program truncates where ours rounds, and may then see another as the largest.
+    // Codebooks contain the existing values, and means and opacities are on the same grid. So are rotations, unless two
+    // components are almost equally large: their program truncates where ours rounds, and may then regard another
+    // component as the largest.
     assert!(e.mean < 1e-6 && e.log_scale < 1e-6 && e.color < 1e-6 && e.opacity < 1e-6 && e.rotation < 0.9, "{e:?}");
-    // Theirs are 8192 vectors for 8406 splats, of which 8192 are found again only in part.
+    // Their palette has 8192 vectors for 8406 splats, and ours of equal size recovers them only in part.
     assert!(e.sh < 0.2, "{e:?}");
     let others: u64 = data("playbot/4_0").read_dir().unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
     assert!(report.bytes < others * 5 / 4, "{} {others}", report.bytes);

@@ -1,4 +1,4 @@
-//! What nobody has named as an output is not written over.
+//! Files not named as an output are not overwritten.
 
 use std::path::Path;
 
@@ -7,14 +7,14 @@ use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::{Composition, HybridScene, Splats};
 use glam::{Quat, Vec3};
 
-/// Runs a command that must succeed; what it prints.
+/// Runs a command that must succeed; returns its output.
 fn run(folder: &Path, args: &str) -> String {
     let output = centaur(folder).args(args.split(' ')).output().unwrap();
     assert!(output.status.success(), "{args}: {}", stderr(&output));
     common::said(&output)
 }
 
-/// The line of a command that must fail and change no file.
+/// Error line of a command that must fail and change no file.
 fn refused(folder: &Path, args: &str) -> String {
     common::failure(folder, centaur(folder).args(args.split(' ')))
 }
@@ -68,10 +68,10 @@ fn pictures_do_not_replace_photographs() {
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
     let line = refused(folder.path(), "eval splats.ply capture -o capture/images");
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
-    // Before training, not after it.
+    // Refused before training, not after it.
     let line = refused(folder.path(), "train capture -o s.glb --no-mesh --iterations 1 --report capture/images");
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
-    // Beside photographs of other names they would be taken for some of them.
+    // Beside photographs of other names the renders would be taken for photographs.
     let other = folder.path().join("other");
     write_capture(&other, 9, (16, 12));
     for i in 0..9 {
@@ -99,10 +99,10 @@ fn pictures_do_not_replace_photographs() {
         let line = refused(folder.path(), args);
         assert!(line.ends_with(": holds masks of the capture: expected another folder"), "{line}");
     }
-    // What is called so elsewhere is none.
+    // A folder of that name elsewhere is not affected.
     std::fs::create_dir(folder.path().join("masks")).unwrap();
     run(folder.path(), "render splats.ply --cameras other -o masks");
-    // Those of several cameras lie a folder deeper.
+    // Renders of several cameras are a folder deeper.
     let rig = folder.path().join("rig");
     write_capture(&rig, 9, (16, 12));
     std::fs::rename(rig.join("images"), rig.join("left")).unwrap();
@@ -116,7 +116,7 @@ fn pictures_do_not_replace_photographs() {
     run(folder.path(), "cameras orbit capture -o orbit.json --frames 2");
     let line = refused(folder.path(), "render splats.ply --cameras orbit.json -o rig/images/left");
     assert!(line.ends_with("rig/images/left: holds photographs of the capture: expected another folder"), "{line}");
-    // Cameras that are in the scene's own file do not say where photographs are.
+    // Cameras in the scene's own file do not tell where the photographs are.
     run(folder.path(), "train capture -o s.glb --ply s.ply --no-mesh --iterations 1 --max-splats 50 --no-eval");
     let line = refused(folder.path(), "render s.glb -o capture/images");
     assert!(line.ends_with("000.png: is a photograph of the capture: expected another folder"), "{line}");
@@ -138,7 +138,7 @@ fn splats_do_not_replace_the_points_that_they_begin_with() {
     let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n\
                   property uchar green\nproperty uchar blue\nend_header\n0 0 0 9 9 9\n0 0.1 0 9 9 9\n";
     std::fs::write(at("capture/images/points.ply"), points).unwrap();
-    // Also where nobody wants them.
+    // Even if the points are not used.
     for without in ["", " --no-points"] {
         let train = "train capture/images -o s.glb --ply capture/images/points.ply --iterations 1 --no-mesh";
         let line = refused(folder.path(), &format!("{train}{without}"));
@@ -152,7 +152,7 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     let at = |name: &str| folder.path().join(name);
     write_splats(&at("g.ply"), 5);
     write_splats(&at("g_splats.ply"), 9);
-    // Its own input, then what a training left there.
+    // Its own input; then the output of a training.
     let line = refused(folder.path(), "convert g_splats.ply g.xml");
     assert!(
         line.starts_with("error: g.xml: would replace ")
@@ -162,25 +162,25 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     let line = refused(folder.path(), "convert g.ply g.xml");
     let expected = "g_splats.ply, which exists already; another name or a folder of its own keeps both";
     assert!(line.ends_with(expected), "{line}");
-    // An export may be repeated, beside one of the same scene, too.
+    // An export may be repeated, also beside another export of the same scene.
     std::fs::remove_file(at("g_splats.ply")).unwrap();
     for args in ["convert g.ply g.xml", "convert g.ply g.xml --scale 2", "convert g.ply g.xml"] {
         run(folder.path(), args);
     }
-    // Also where its name comes late, across what is read at once.
+    // Also if the name comes late in the file, across a block boundary of the reader.
     let text = std::fs::read_to_string(at("g.xml")).unwrap();
     let begin = text.find("g_splats.ply").unwrap();
     let late = format!("<!--{}-->", " ".repeat((1 << 20) - begin - 7 - 4));
     std::fs::write(at("g.xml"), [&late, &text[..]].concat()).unwrap();
     run(folder.path(), "convert g.ply g.xml --scale 3");
     run(folder.path(), "convert g.ply g.xml");
-    // The plugin that several scenes share is the same.
+    // The plug-in is identical, so several scenes can share it.
     run(folder.path(), "convert g.ply other.xml");
     let line = refused(folder.path(), "convert g.ply g.blend.py --scale 3");
     assert!(line.starts_with("error: g.blend.py: would replace ") && line.ends_with(expected), "{line}");
 }
 
-/// An output that is there need not be an export of this program.
+/// An existing output file need not be an export by this program.
 #[test]
 fn outputs_of_others_do_not_give_their_neighbours_away() {
     let folder = tempfile::tempdir().unwrap();
@@ -193,7 +193,7 @@ fn outputs_of_others_do_not_give_their_neighbours_away() {
         line.ends_with("h_splats.ply, which exists already; another name or a folder of its own keeps both"),
         "{line}"
     );
-    // Of another version, or changed by hand, under a name that all scenes have for it.
+    // Another version, or a file edited by hand, under the name that all scenes use for it.
     std::fs::write(at("hybrid_rf.py"), "# other\n").unwrap();
     let line = refused(folder.path(), "convert g.ply i.xml");
     assert!(line.ends_with("hybrid_rf.py, which exists already; a folder of its own keeps both"), "{line}");

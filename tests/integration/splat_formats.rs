@@ -1,4 +1,4 @@
-//! Codecs of splats on files of other programs. `CENTAUR_DATA` names the folder (default `../shared/data`).
+//! Splat codecs on files of other programs. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use crate::common::data;
 use centaur::format::{Loss, NotedSplats, ksplat, ply, splat, spz};
@@ -17,12 +17,12 @@ fn three_gaussians_of_train() {
     assert_eq!(loss.sh_degree, Some([3, 0]));
     let e = loss.max_error;
     assert!(e.log_scale < 1e-5, "{e:?}");
-    // Half a step of 8 bits, or one where the other writer truncates.
+    // Half a step of 8 bits, or a whole one if the other writer truncates.
     assert!(e.opacity < 1.01 / 255.0 && e.color < 1.01 / 255.0 && e.rotation < 1.5, "{e:?}");
 }
 
-/// The fixtures of splat-transform: a square of four splats of size 0.1 and opacity 0.9 in the plane y = 0, whose red and green
-/// grow with x and z.
+/// Asserts the content of the fixtures of splat-transform: a square of four splats with size 0.1 and opacity 0.9 in the
+/// plane y = 0, whose red and green increase with x and z.
 fn assert_minimal(splats: &Splats, z: [f32; 2], rgb: [f32; 2]) {
     assert_eq!((splats.len(), splats.sh_degree()), (4, 0));
     for i in 0..4 {
@@ -42,7 +42,7 @@ fn assert_minimal(splats: &Splats, z: [f32; 2], rgb: [f32; 2]) {
 fn four_splats_of_splat_transform() {
     let splats = splat::read(&data("oracle_splat_transform/splat/minimal.splat")).unwrap();
     assert_minimal(&splats, [-1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0]);
-    // Its writer put w last, where both formats have it first: half a turn about z, which a ball does not show.
+    // Its writer put w last, where both formats have it first: half a turn about z, which is invisible for a sphere.
     assert!(splats.rotations().iter().all(|q| q.z > 0.9999));
     let splats = ksplat::read(&data("oracle_splat_transform/splat/minimal.ksplat")).unwrap();
     assert_minimal(&splats, [-1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0]);
@@ -59,12 +59,12 @@ fn spz_of_three_programs() {
         if matches!(file, "v3" | "v4") {
             assert_minimal(&splats, [-1.0, 0.0], rgb);
         } else {
-            // These hold the axes of PLY and plain colours, where the format has y up and 0.15·c + 0.5.
+            // These files have the axes of PLY and plain colours, where the format has y up and 0.15·c + 0.5.
             assert_minimal(&splats, [1.0, 0.0], rgb.map(|c| 0.5 + 0.282_095 * (c - 0.5) / 0.15));
         }
     }
 
-    // The same splats as PLY, y down there and y up here.
+    // The same splats as PLY, with y down there and y up here.
     let exact = ply::read(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.ply")).unwrap();
     let packed = spz::read(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.spz")).unwrap();
     let e = Loss::of_splats(&exact, &packed).max_error;
@@ -77,7 +77,7 @@ fn spz_of_three_programs() {
     let packed = spz::read(&data("oracle_javagl/jspz-examples/data/unitCube.spz")).unwrap();
     let e = Loss::of_splats(&exact, &packed).max_error;
     assert!(e.mean == 0.0 && e.rotation < 0.8 && e.log_scale <= 1.0 / 32.0 + 1e-5, "{e:?}");
-    // The same cube, but with coefficients of ±1 for ±1.77 and a logit of 1 for 20.
+    // The same cube, but with coefficients of ±1 instead of ±1.77 and a logit of 1 instead of 20.
     for i in 0..20 {
         assert!((packed.opacity_logits()[i] - 1.0).abs() < 0.011, "half of 1/255 of the opacity");
         for (a, b) in exact.sh_of(i)[0].iter().zip(packed.sh_of(i)[0]) {
@@ -107,13 +107,13 @@ fn biker_is_one_in_compressed_ply_and_spz() {
     let loss = Loss::of_splats(&chunked, &packed);
     let e = loss.max_error;
     assert_eq!((packed.len(), loss.sh_degree), (152_746, None));
-    // Half a step of either: 2⁻¹³, and 1/2046 of a chunk's extent, of which the widest is 1.02.
+    // Half a step of either format: 2⁻¹³, and 1/2046 of a chunk's extent, the widest of which is 1.02.
     assert!(e.mean < 0.5f32.powi(13) + 1.02 / 2046.0, "{e:?}");
     // 1/32, and 1/2046 of a chunk's range.
     assert!(e.log_scale < 1.0 / 32.0 + 0.005, "{e:?}");
     assert!(e.opacity <= 1.0 / 255.0 && e.color < 0.0037 + 0.002 && e.rotation < 0.56, "{e:?}");
 
-    // Written again in each version, SPZ of SPZ loses nothing but the rounding of rotations.
+    // Written again in each version, SPZ from SPZ loses only the rounding of rotations.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("biker.spz");
     for version in [spz::Version::V2, spz::Version::V3, spz::Version::V4] {
@@ -137,9 +137,9 @@ fn biker_as_ksplat() {
     {
         let report = ksplat::write(&path, &biker, level).unwrap();
         let e = report.loss.max_error;
-        // Buckets take a few bytes more.
+        // Buckets need a few more bytes.
         assert!((report.bytes as f64) < 1.02 * bytes * biker.len() as f64 + 5120.0, "{report:?}");
-        // Blocks are 3.18/16 wide; the smallest splats have 1e-5, where f16 has 170 steps.
+        // Blocks are 3.18/16 wide; the smallest splats have a scale of 1e-5, where f16 has 170 steps.
         assert!(e.mean < 3.18 / 16.0 / 131_068.0 + 3e-7 && e.log_scale < 0.004 && e.rotation < 0.06, "{e:?}");
         assert!(e.opacity < 1e-6 && e.color <= 1.0 / 510.0 + 1e-6, "{e:?}");
         assert_eq!(ksplat::read(&path).unwrap().len(), biker.len());
@@ -156,7 +156,7 @@ fn bounds(splats: &Splats) -> [Vec3; 2] {
 fn compressed_plys_of_playcanvas() {
     let biker = ply::read(&data("splats_playcanvas/biker.compressed.ply")).unwrap();
     assert_eq!((biker.len(), biker.sh_degree()), (152_746, 0));
-    // The least and greatest bounds in the chunks' table.
+    // The smallest and largest bounds in the chunks' table.
     let [low, high] = bounds(&biker);
     assert!((low - Vec3::new(-0.621_256, -3.180_076, -0.532_257)).length() < 1e-5, "{low}");
     assert!((high - Vec3::new(0.414_404, -7.15e-7, 0.613_281)).length() < 1e-5, "{high}");
@@ -166,7 +166,7 @@ fn compressed_plys_of_playcanvas() {
     let guitar = ply::read(&data("splats_playcanvas/guitar.compressed.ply")).unwrap();
     assert_eq!((guitar.len(), guitar.sh_degree()), (90_854, 0));
 
-    // Written again, they are as good as before but for the bounds of other chunks.
+    // Written again, they are as accurate as before, except for the bounds of different chunks.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("biker.compressed.ply");
     let report = ply::compressed::write(&path, &biker).unwrap();

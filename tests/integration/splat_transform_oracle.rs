@@ -1,5 +1,5 @@
-//! What is written here against what `PlayCanvas`' splat-transform reads from it, and the other way round.
-//! `CENTAUR_SPLAT_TRANSFORM` names the program (npm: @playcanvas/splat-transform).
+//! Our files as read by `PlayCanvas`' splat-transform, and the other way round. `CENTAUR_SPLAT_TRANSFORM` names the
+//! program (npm: @playcanvas/splat-transform).
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -32,7 +32,7 @@ fn convert(from: &Path, to: &Path) {
     assert!(output.status.success(), "{}: {}", from.display(), String::from_utf8_lossy(&output.stderr));
 }
 
-/// Half a turn about x. splat-transform neither turns SPZ nor says so: what it reads and writes has the file's own axes.
+/// Splats after half a turn about x. splat-transform does not rotate SPZ: it reads and writes the file's own axes.
 fn turned(splats: &Splats) -> Splats {
     let mut arrays = splats.clone().into_arrays();
     let turn = sh::Rotation::new(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)));
@@ -42,7 +42,7 @@ fn turned(splats: &Splats) -> Splats {
     arrays.check().unwrap()
 }
 
-/// Two readers of one file agree but for rounding. They keep opacities 10⁻⁶ off 0 and 1.
+/// Asserts that two readers of one file agree up to rounding. Theirs keeps opacities 10⁻⁶ away from 0 and 1.
 fn assert_same(what: &str, theirs: &Splats, ours: &Splats, rotation: f32) {
     let loss = Loss::of_splats(theirs, ours);
     let e = loss.max_error;
@@ -65,7 +65,7 @@ fn both_read_the_same_from_what_is_written_here() {
 
     let file = at("a.splat");
     splat::write(&file, &splats).unwrap();
-    // They take a byte of a rotation for b/127.5 − 1, where the format's own viewer has b/128 − 1.
+    // They convert a byte of a rotation by b/127.5 − 1, but the format's own viewer by b/128 − 1.
     assert_same("splat", &read_by_them(&file), &splat::read(&file).unwrap(), 1.0);
 
     let file = at("a.compressed.ply");
@@ -98,13 +98,13 @@ fn what_they_write_is_read_within_the_quantisation() {
         let e = Loss::of_splats(&splats, found).max_error;
         assert_eq!(e.max(limit), limit, "{what}: {e:?}");
     };
-    // They truncate, so that errors are a step where half of one would do.
+    // They truncate, so errors are a whole step instead of half a step.
     let limit = SplatError { mean: 0.0, rotation: 2.0, log_scale: 1e-6, opacity: 0.004, color: 0.004, sh: 0.0 };
     bound("splat", &splat::read(&at("a.splat")).unwrap(), limit);
     let limit =
         SplatError { mean: 1.3e-4, rotation: 0.28, log_scale: 0.0313, opacity: 0.002, color: 0.0037, sh: 0.0665 };
     bound("SPZ", &turned(&spz::read(&at("a.spz")).unwrap()), limit);
-    // In another order, for which the sums stand.
+    // The order differs, so sums are compared.
     let sum = |s: &Splats| s.means().iter().map(|m| m.as_dvec3()).sum::<DVec3>();
     let chunked = ply::read(&at("a.compressed.ply")).unwrap();
     assert_eq!((chunked.len(), chunked.sh_degree()), (COUNT, DEGREE));

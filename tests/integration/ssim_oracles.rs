@@ -1,4 +1,4 @@
-//! SSIM against published values of picture pairs that nobody here made (`shared/data/oracle_ssim_*`).
+//! SSIM compared with published values for image pairs of others (`shared/data/oracle_ssim_*`).
 
 use crate::common::data;
 use centaur::metrics::ssim_valid;
@@ -36,7 +36,7 @@ fn pooled(image: &Rgb32FImage) -> Rgb32FImage {
     })
 }
 
-/// An uncompressed 24-bit bottom-up BMP, read here to keep the decoder out of the crate's dependencies.
+/// Reads an uncompressed 24-bit bottom-up BMP, to avoid a decoder among the crate's dependencies.
 fn bmp24(path: &str) -> Rgb32FImage {
     let bytes = std::fs::read(data(path)).unwrap();
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());

@@ -1,4 +1,4 @@
-//! Training that is stopped and goes on, in the library and by Ctrl-C, on the small capture of the repository.
+//! Interrupted and resumed training, in the library and by Ctrl-C, on the small capture of the repository.
 
 use std::cell::Cell;
 use std::fmt::Write as _;
@@ -43,7 +43,7 @@ struct Bench {
     mesh: MeshSource,
     options: TrainOptions,
     folder: tempfile::TempDir,
-    /// Reports of the last run itself.
+    /// Number of reports of the last run itself.
     told: Cell<usize>,
 }
 
@@ -55,7 +55,7 @@ impl Bench {
     fn of_size(side: u32, mesh: MeshSource, options: TrainOptions) -> Self {
         let small = LoadOptions { downscale: Downscale::MaxSide(side), ..LoadOptions::default() };
         let mut capture = capture::open(&demo(), &small).unwrap();
-        // Fewer than `max_splats`, so that there is something to decide on.
+        // Fewer points than `max_splats`, so that density control has decisions to make.
         capture.points.truncate(700);
         Self {
             gpu: Gpu::open(None).unwrap(),
@@ -67,7 +67,7 @@ impl Bench {
         }
     }
 
-    /// Trains, from the checkpoint on if `resume`, and asks for a stop at a report if there is a `stop_at`.
+    /// Trains, from the checkpoint if `resume`, and requests a stop at the report `stop_at`, if given.
     fn run(&self, resume: bool, stop_at: Option<(Phase, u32)>) -> Trained {
         let stop = AtomicBool::new(false);
         self.told.set(0);
@@ -86,7 +86,7 @@ impl Bench {
         train(&self.capture, self.mesh.clone(), &self.options, session).unwrap()
     }
 
-    /// Asserts that a run that is stopped and resumed is `straight`, to the last bit.
+    /// Asserts that an interrupted and resumed run equals `straight` to the last bit.
     fn assert_same(&self, straight: &Trained, stop_at: (Phase, u32)) {
         let first = self.run(false, Some(stop_at));
         assert_eq!(first.outcome, Outcome::Interrupted);
@@ -94,7 +94,7 @@ impl Bench {
         assert_eq!(second.outcome, Outcome::Finished);
         assert!(self.told.get() < second.history.len(), "nothing was resumed");
         let last = |trained: &Trained| trained.history.last().map_or(0.0, |report| report.seconds);
-        // A look at held-out views lies between the last report and what is saved.
+        // An evaluation of held-out views comes between the last report and the checkpoint.
         let both = 0.5 * last(&first) + last(&second);
         assert!(second.training_seconds > both, "{} s in all, not {both}", second.training_seconds);
         let but_for_seconds = |trained: &Trained| -> Vec<_> {
@@ -125,7 +125,7 @@ fn resumes_in_both_phases(options: TrainOptions) {
     }
 }
 
-/// Poses are on their way until the end where there is no mesh.
+/// Without a mesh, poses are optimised until the end.
 #[test]
 fn resumed_with_poses_and_without_a_mesh() {
     let options = TrainOptions { refine_poses: true, ..options(Density::Mcmc) };
@@ -147,13 +147,13 @@ fn resumed_with_absolute_gradients() {
 
 #[test]
 fn resumed_with_mcmc() {
-    // With exposures, which are a part of the state as well, and pictures that grow.
+    // With exposures, which are part of the state too, and growing picture sizes.
     let options = TrainOptions { exposure: true, coarse_to_fine: true, ..options(Density::Mcmc) };
     resumes_in_both_phases(options);
 }
 
-/// Splats of which each is in nearly all tiles. Iterations whose lists are too short are taken again, so that it does not matter how long
-/// lists are: of those who go on they are long.
+/// Splats of which each is in nearly all tiles. Iterations with lists that are too short are repeated, so the list
+/// lengths, which are large in a resumed run, must not matter.
 #[test]
 fn resumed_where_lists_were_too_short() {
     let options = TrainOptions { max_splats: Some(40), ..options(Density::Mcmc) };
@@ -166,20 +166,21 @@ fn resumed_where_lists_were_too_short() {
 
 #[test]
 fn resumed_while_looking_for_a_surface() {
-    // After the 30 iterations for the surface 20 are left for the joint phase.
-    // Poses are on their way before there is a surface, and a part of the state ever after.
+    // After the 30 iterations of the surface phase, 20 are left for the joint phase.
+    // Poses are optimised before there is a surface, and are part of the state from then on.
     let options = TrainOptions { iterations: 50, warmup: 20, refine_poses: true, ..options(Density::Inria) };
     let bench = Bench::new(MeshSource::Splats, options);
     let straight = bench.run(false, None);
     assert!(straight.history.iter().any(|p| p.phase == Phase::Joint), "nothing is trained together");
     assert!(straight.selection.is_some(), "no triangle was judged");
-    // In the warm-up the vertices are on their way.
+    // During the warm-up, vertices are optimised.
     for stop_at in [(Phase::Surface, 10), (Phase::Warmup, 10), (Phase::Joint, 10)] {
         bench.assert_same(&straight, stop_at);
     }
 }
 
-/// What follows a phase takes its time, and the last one writes the scene: what has been trained is in a checkpoint before.
+/// The work after a phase takes time, and the last phase is followed by writing the scene: before that, the training
+/// state is saved in a checkpoint.
 #[test]
 fn resumed_from_the_end_of_each_phase() {
     let options = TrainOptions {
@@ -204,7 +205,7 @@ fn resumed_from_the_end_of_each_phase() {
     };
     let straight = train(&bench.capture, bench.mesh.clone(), &bench.options, session).unwrap();
     std::fs::copy(file("checkpoint"), file("at-the-end")).unwrap();
-    // Another phase's reports are those that are left.
+    // The remaining reports are those of the other phases.
     for (name, reports) in [("before-Warmup", 4), ("before-Joint", 2), ("at-the-end", 0)] {
         std::fs::copy(file(name), file("checkpoint")).unwrap();
         let resumed = bench.run(true, None);
@@ -215,10 +216,11 @@ fn resumed_from_the_end_of_each_phase() {
     }
 }
 
-/// A surface is found and its maps are judged, but a budget has no room for them: what is left is what splats alone come to.
+/// A surface is extracted and its maps are judged, but the budget has no room for them: the remaining result is that of
+/// splats alone.
 #[test]
 fn a_run_that_keeps_no_mesh_is_one_without() {
-    // Before density control ends, also so late that it would go on beside a mesh.
+    // Before density control ends, and so late that it would continue beside a mesh.
     for surface_iterations in [90, 150] {
         assert_keeps_nothing(surface_iterations);
     }
@@ -241,13 +243,13 @@ fn assert_keeps_nothing(surface_iterations: u32) {
     assert!(with.scene == without.scene && with.exposures == without.exposures, "its splats are others");
 }
 
-/// With `--all-views` the scene learns what held-out views show, and says of scores what they are.
+/// With `--all-views` the scene learns from held-out views too, and scores carry a note.
 #[test]
 fn all_views_are_trained_on_if_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let capture = folder.path().join("capture");
     std::fs::create_dir(&capture).unwrap();
-    // Grey, but for the first by name, which is held out: red.
+    // All photographs are grey except the first by name, which is held out and red.
     let frames: Vec<_> = (0..8)
         .map(|i| {
             let (sin, cos) = (0.1 * f64::from(i)).sin_cos();
@@ -279,7 +281,7 @@ fn all_views_are_trained_on_if_asked_for() {
     };
     let (is_null, split, says, without) = scored("");
     assert!(!is_null && split == "every8th" && !says);
-    // Without the first the second is held out, which was trained on.
+    // Without the first, the second is held out, which was trained on.
     write(&frames[1..]);
     let notes = run("eval scene.glb capture --quiet --json")["notes"].to_string();
     assert!(notes.contains("trained on 1 of the 1 views that are scored"), "{notes}");
@@ -288,7 +290,7 @@ fn all_views_are_trained_on_if_asked_for() {
     assert!(is_null && split == "all" && says);
     assert!(with > without + 1.0, "{with} dB, {without} dB where it is held out");
 
-    // Of two photographs one is held out, and none would do.
+    // Of two photographs one is held out, and the one left is not enough.
     write(&frames[..2]);
     let few = "train capture -o few.glb --no-mesh --iterations 5 --max-splats 50 --quiet";
     let said = common::stderr(&start(few));
@@ -296,8 +298,8 @@ fn all_views_are_trained_on_if_asked_for() {
     run(&format!("{few} --json --all-views"));
 }
 
-/// Splats, a surface of theirs, maps and vertices, by the command line: the same file but for what was measured, in a second run and
-/// with other numbers of threads, on the host and of a software adapter.
+/// Splats, a surface made of them, maps and vertices, on the command line: a second run gives the same file except for
+/// measurements, even with other numbers of threads on the host and of a software adapter.
 #[test]
 fn a_seed_is_one_scene() {
     let folder = tempfile::tempdir().unwrap();
@@ -326,7 +328,8 @@ fn a_seed_is_one_scene() {
     assert!(trained("c.glb", "1") == expected, "one thread");
 }
 
-/// Ctrl-C in a terminal is SIGINT; one that goes away hangs up, by its shell and by itself, on all but what `nohup` runs.
+/// Ctrl-C in a terminal is SIGINT; a closing terminal causes hangups, by its shell and by itself, for all processes
+/// except those run by `nohup`.
 #[cfg(unix)]
 #[test]
 fn signals_leave_a_checkpoint_that_resume_finishes() {
@@ -346,17 +349,18 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
         "--no-eval",
         "--json",
     ];
-    // More than any GPU does while signals are on their way. They are not held back together by a STOP: two of one kind would be one.
+    // More iterations than any GPU can do while signals are on their way. The signals are not held back by a STOP: two
+    // of one kind would be merged.
     let endless = ["--iterations", "1000000"];
     let files = || -> Vec<_> {
         std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
     };
-    // Under nohup it goes on after a hangup; else the shell's, the terminal's and whoever ends the session are one wish, and so are the two
-    // of `timeout`.
+    // Under nohup a run continues after a hangup; otherwise the hangups of the shell, the terminal and the session's
+    // end count as one request, and so do the two signals of `timeout`.
     let (nohup, hung_up) = ("trap '' HUP; exec \"$@\"", "exec \"$@\"");
     let mut runs = vec![(nohup, &["HUP", "INT"][..], 130, None), (hung_up, &["TERM", "TERM"], 143, Some("--resume"))];
     if cfg!(target_os = "linux") {
-        // Elsewhere hangups are heeded where stderr is a terminal.
+        // On other systems, hangups are heeded if stderr is a terminal.
         runs.push((hung_up, &["HUP", "HUP", "TERM"], 129, Some("--resume")));
     }
     for (shell, signals, code, resume) in runs {
@@ -375,16 +379,16 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
         for &signal in signals {
             common::send(signal, &child.id().to_string());
             if shell == nohup && signal == "HUP" {
-                // What has been asked to stop says no more than that it does.
+                // After a stop request there is only the note that it will stop.
                 assert_eq!(lines.by_ref().take(5).count(), 5);
                 assert_eq!(child.try_wait().unwrap(), None);
             }
         }
-        // Reports are read on, so that the child does not wait for a full pipe.
+        // Reports are read on, so that the child does not block on a full pipe.
         let rest: Vec<String> = lines.collect();
         let output = child.wait_with_output().unwrap();
         assert_eq!(output.status.code(), Some(code), "{signals:?} {:?}", rest.last());
-        // Once, at once, and on no line of progress.
+        // Once, immediately, and not on a line of progress.
         let is_heard =
             |line: &&String| line.starts_with("note: stopping after the current step, and keeping what is done;");
         assert_eq!(rest.iter().filter(is_heard).count(), 1, "{signals:?} {rest:?}");
@@ -393,7 +397,7 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
         assert!(!outcome["notes"].to_string().contains("earlier run"), "{outcome}");
         assert_eq!(files(), ["scene.glb.checkpoint"]);
     }
-    // What is there of an earlier run is named.
+    // A file left by an earlier run is named.
     std::fs::write(folder.path().join("scene.glb"), "of an earlier run").unwrap();
     let mut command = common::centaur(folder.path());
     let stopped = command.args(arguments).args(["--resume", "--stop-at-eof"]).stdin(Stdio::null()).output().unwrap();
@@ -403,7 +407,7 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     assert!(notes.contains("scene.glb: is still the scene of an earlier run"), "{notes}");
     std::fs::remove_file(folder.path().join("scene.glb")).unwrap();
 
-    // One that ends, which is asked to stop as it begins.
+    // A run that completes, which is asked to stop at its start.
     std::fs::remove_file(folder.path().join("scene.glb.checkpoint")).unwrap();
     let run = |more: &str| -> serde_json::Value {
         let mut command = common::centaur(folder.path());
@@ -422,7 +426,7 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     assert_eq!(scene.splats.len(), 1000);
 }
 
-/// Forgetting --resume costs nothing, and photographs are not exchanged in between.
+/// A forgotten --resume loses nothing, and photographs must not be changed in between.
 #[test]
 fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -470,7 +474,7 @@ fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     picture(2, 9);
     assert_eq!(run("--resume --no-eval --quiet").0, Some(0));
 
-    // Everything that a capture lacks is said before it is trained on.
+    // All that a capture lacks is reported before training.
     let notes = |more: &str| {
         let (code, error, said) = run(more);
         assert_eq!(code, Some(0), "{error}");
@@ -489,7 +493,7 @@ fn a_checkpoint_is_set_aside_or_gone_on_from_with_the_same_files() {
     assert!(code == Some(2) && said.contains("from 1"), "{said}");
 }
 
-/// What fails after the training does not cost the training.
+/// A failure after training must not lose the training.
 #[test]
 fn a_checkpoint_stays_until_all_is_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -508,7 +512,7 @@ fn a_checkpoint_stays_until_all_is_written() {
     std::fs::remove_dir(in_the_way).unwrap();
     let resumed = run(&["--resume", "--json"]);
     assert!(resumed.status.success() && !checkpoint.exists(), "{}", common::stderr(&resumed));
-    // Nothing was left to train: what is known of its time is of before.
+    // Nothing was left to train: its time is known from the earlier run.
     let outcome: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
     for of in [&outcome, &outcome["evaluation"]] {
         let [all, each] = ["training_seconds", "seconds_per_iteration"].map(|name| of[name].as_f64().unwrap());
@@ -516,7 +520,7 @@ fn a_checkpoint_stays_until_all_is_written() {
     }
 }
 
-/// Where scoring fails, what is there is of no other run; and what else is, is told.
+/// If scoring fails, no results of another run remain; other files are reported.
 #[test]
 fn a_report_has_no_pictures_of_another() {
     let folder = tempfile::tempdir().unwrap();
@@ -530,7 +534,7 @@ fn a_report_has_no_pictures_of_another() {
     let train = "train capture -o scene.glb --no-mesh --max-splats 50 --iterations 2 --report report --quiet";
     assert_eq!(run(train), (Some(0), String::new()));
     assert_eq!(score(), (Some(0), String::new()));
-    // Without the first view others are held out.
+    // Without the first view, others are held out.
     let list = at("capture/sparse/0/images.txt");
     let views = std::fs::read_to_string(&list).unwrap();
     let note = |left: &str| {
@@ -550,7 +554,7 @@ fn a_report_has_no_pictures_of_another() {
         names
     };
     assert_eq!(left(), [&all[..], &["metrics.json", "report.html"]].concat());
-    // The first of two is scored, the second is found broken after its header.
+    // The first of two views is scored, the second turns out to be broken after its header.
     let last = at("capture/images/008.png");
     let bytes = std::fs::read(&last).unwrap();
     std::fs::write(&last, &bytes[..bytes.len() / 2]).unwrap();
@@ -559,13 +563,13 @@ fn a_report_has_no_pictures_of_another() {
     assert_eq!(left(), all);
 }
 
-/// The lines of progress on stderr.
+/// Lines of progress on stderr.
 fn progress(output: &std::process::Output) -> Vec<serde_json::Value> {
     let line = |line: &str| serde_json::from_str::<serde_json::Value>(line).unwrap()["progress"].take();
     common::stderr(output).lines().map(line).collect()
 }
 
-/// Also after the training, of which the scene tells.
+/// Also after training, from the scene's record.
 #[test]
 fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
     let folder = tempfile::tempdir().unwrap();
@@ -595,7 +599,8 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
         assert!(trained[name].is_number(), "{name}: {trained}");
         assert_eq!((&evaluated[name], &trained["evaluation"][name]), (&trained[name], &trained[name]));
     }
-    // Training takes gradients and moments beside what rendering takes, which is the same right after it and later.
+    // Training needs gradients and moments in addition to the memory of rendering, which is the same directly after it
+    // and later.
     let peak = &evaluated["peak_gpu_bytes"];
     assert_eq!(peak, &trained["evaluation"]["peak_gpu_bytes"]);
     assert!(peak.as_u64().unwrap() < trained["training_peak_gpu_bytes"].as_u64().unwrap(), "{peak}");
@@ -616,7 +621,7 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
         assert!(report().contains(part), "{part}");
     }
 
-    // Splats alone say nothing of it.
+    // Splats alone do not contain the record.
     let mut convert = common::centaur(folder.path());
     assert!(convert.args(["convert", "scene.glb", "splats.ply", "--quiet"]).status().unwrap().success());
     let evaluation = run("eval splats.ply", "--max-side 64 --json --quiet -o scores");
@@ -634,13 +639,13 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
     assert!(told.iter().zip(1..).all(|(line, view)| line["phase"] == "fusing" && line["view"] == view), "{told:?}");
 }
 
-/// The demo does not say which views see its points.
+/// The demo has no tracks.
 #[test]
 fn what_a_surface_was_made_of_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let demo = demo().display().to_string();
     let flags = "--max-side 64 --max-splats 1000 --iterations 20 --warmup 0 --triangles 500 --texture-size 64 --quiet --json -o scene.glb";
-    // One of them is that the demo is z up.
+    // One of the notes is that the demo is z up.
     for (surface, origin, notes) in
         [(Some("points"), "guessed_points", 2), (Some("splats"), "splats", 1), (None, "splats", 1)]
     {
@@ -680,11 +685,11 @@ fn a_surface_is_compared_with_what_it_should_be() {
     assert!(of("accuracy") < 1e-6 && of("completeness") < 1e-6 && of("f_score") == 1.0, "{found}");
     assert!(of("counted") > 0.5 && of("counted") <= 1.0, "{found}");
     assert!(found["holes_closed"].as_u64().unwrap() > 0, "{found}");
-    // All but what was made around corners: the surface is of what views see.
+    // The surface consists of what views see, except what was filled in around corners.
     let seen = found["atlas"]["seen"].as_f64().unwrap();
     assert!(seen > 0.8 && seen <= 1.0, "{found}");
     assert_eq!(of("chamfer"), 0.5 * (of("accuracy") + of("completeness")));
-    // The same surface as a mesh of one's own: nothing to mend, fewer triangles, new charts.
+    // The same surface as a user's mesh: nothing to repair, fewer triangles, new charts.
     let own: serde_json::Value =
         serde_json::from_str(&mesh("--mesh a.glb -o c.glb --triangles 1000 --truth a.glb --json")).unwrap();
     let of_triangles = |json: &serde_json::Value, step: &str| json["triangles"][step].as_u64().unwrap();
@@ -693,13 +698,13 @@ fn a_surface_is_compared_with_what_it_should_be() {
     let left = of_triangles(&own, "simplified");
     assert!((500..=1000).contains(&left) && own["truth"]["f_score"].as_f64().unwrap() > 0.9, "{own}");
     assert_eq!(mesh_import::read(&folder.path().join("c.glb")).unwrap().triangles.len() as u64, left);
-    // What cannot become so few is told.
+    // If so few triangles cannot be reached, a note says so.
     let few: serde_json::Value = serde_json::from_str(&mesh("--mesh a.glb -o d.glb --triangles 1 --json")).unwrap();
     let (left, notes) = (of_triangles(&few, "simplified"), few["notes"].to_string());
     let said = format!("d.glb: {left} triangles remain, more than the 1 of --triangles: ");
     assert_eq!(notes.contains(&said), left > 1, "{notes}");
     assert_eq!(few["bytes"], folder.path().join("d.glb").metadata().unwrap().len());
-    // What no camera sees does not count: a square above all of them, as large as the surface.
+    // Parts that no camera sees do not count: a square above all cameras, as large as the surface.
     let seen = mesh_import::read(&folder.path().join("a.glb")).unwrap();
     let area = |[a, b, c]: [Vec3; 3]| 0.5 * (b - a).cross(c - a).length();
     let side = seen.triangles.iter().map(|t| area(t.map(|i| seen.positions[i as usize]))).sum::<f32>().sqrt();

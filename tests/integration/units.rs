@@ -1,4 +1,4 @@
-//! Poses are in any unit of length and anywhere, and so are scenes.
+//! Poses can be in any unit of length and at any distance from the origin, and so can scenes.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -10,7 +10,7 @@ use centaur::optimize::{Checkpoints, MeshSource, Session, TrainOptions, Trained,
 use centaur::render::gpu::Gpu;
 use glam::{DMat3, DVec3};
 
-/// The demo in another unit: this many of it are one of what it has.
+/// The demo in another unit, `unit` of which equal one of the original.
 fn demo_in(unit: f64) -> Capture {
     let small = LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() };
     let mut capture = capture::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("demo"), &small).unwrap();
@@ -25,7 +25,7 @@ fn move_by(capture: &mut Capture, similarity: &Similarity) {
     capture.points.iter_mut().for_each(|point| point.position = similarity.point(point.position));
 }
 
-/// A hybrid of few splats, if not of them alone.
+/// Trains a hybrid with few splats, or splats alone.
 fn trained(gpu: &Gpu, capture: &Capture, mesh: &MeshSource, refine_poses: bool) -> Trained {
     let options = TrainOptions {
         refine_poses,
@@ -47,19 +47,19 @@ fn trained(gpu: &Gpu, capture: &Capture, mesh: &MeshSource, refine_poses: bool) 
     trained
 }
 
-/// Held-out PSNR in dB at the end.
+/// Final held-out PSNR in dB.
 fn psnr(trained: &Trained) -> f64 {
     trained.history.iter().rev().find_map(|progress| progress.psnr).unwrap()
 }
 
-/// Not bit by bit: rounding differs, and the near plane, which is no farther than 0.2.
+/// Not bit-identical: rounding differs, and so does the near plane, which is at most 0.2.
 #[test]
 fn scenes_are_the_same_in_millimetres_and_in_kilometres() {
     let gpu = Gpu::open(None).unwrap();
     for mesh in [MeshSource::None, MeshSource::Points] {
         let found = [1e-3, 1.0, 1e3].map(|unit| psnr(&trained(&gpu, &demo_in(unit), &mesh, false)));
         eprintln!("{mesh:?}: {found:.2?} dB");
-        // Where nothing was learnt, it is alike in all units.
+        // Untrained results would be alike in all units too.
         assert!(found.iter().all(|psnr| *psnr > 24.0), "{mesh:?}: {found:?}");
         let least = found.into_iter().fold(f64::INFINITY, f64::min);
         let most = found.into_iter().fold(f64::NEG_INFINITY, f64::max);
@@ -67,7 +67,7 @@ fn scenes_are_the_same_in_millimetres_and_in_kilometres() {
     }
 }
 
-/// Twice as far away there would be none: floats are too coarse then for what is written.
+/// At twice the distance f32 would be too coarse for the written values.
 #[test]
 fn scenes_are_the_same_far_from_the_origin() {
     let gpu = Gpu::open(None).unwrap();
@@ -83,7 +83,7 @@ fn scenes_are_the_same_far_from_the_origin() {
         });
         eprintln!("{mesh:?}: {near_psnr:.2} {far_psnr:.2} dB");
         assert!(near_psnr > 24.0 && (far_psnr - near_psnr).abs() < 0.5, "{mesh:?}: {near_psnr} {far_psnr}");
-        // What a run says of its cameras is of where they were given.
+        // Reported poses refer to the cameras as given.
         assert_eq!(there.poses.is_empty(), !refine_poses);
         for (name, pose) in &there.poses {
             let rows = pose.world_to_camera.map(|[x, y, z, t]| (DVec3::new(x, y, z), t));

@@ -1,4 +1,4 @@
-//! What is written here against what OpenUSD finds in it, and the other way round. `CENTAUR_USD_PYTHON` names a Python with
+//! Our files as read by OpenUSD, and the other way round. `CENTAUR_USD_PYTHON` names a Python with
 //! tests/oracles/requirements-usd.txt.
 
 use std::path::Path;
@@ -18,7 +18,7 @@ fn python() -> std::ffi::OsString {
     std::env::var_os("CENTAUR_USD_PYTHON").expect("CENTAUR_USD_PYTHON names a Python")
 }
 
-/// Runs the script beside this test; what it prints.
+/// Runs the Python script of this test; returns its output.
 fn script(mode: &str, file: &Path, values: &Value) -> String {
     let json = file.with_extension("values.json");
     std::fs::write(&json, values.to_string()).unwrap();
@@ -59,7 +59,7 @@ fn camera() -> Camera {
     Camera::new(intrinsics, rotation, DVec3::new(0.3, -2.0, 5.0)).unwrap()
 }
 
-/// Half a turn about x: the capture's y down to the file's y up.
+/// Half a turn about x: from the capture's y down to the file's y up.
 const TURN: DMat3 = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
 
 fn turned(p: Vec3) -> [f32; 3] {
@@ -81,7 +81,7 @@ fn values(splats: &Splats) -> Value {
     })
 }
 
-/// What a mesh shows in 8 bits: RGB, and opacity.
+/// Appearance of a mesh in 8 bits: RGB, and opacity.
 fn pictures(mesh: &Mesh) -> [Vec<u8>; 2] {
     let to_byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let texels = || mesh.atlas().base().texels().chunks_exact(4);
@@ -104,7 +104,7 @@ fn openusd_finds_what_was_written() {
     };
     let scene = HybridScene { splats: splats(200, 3), meshes: vec![mesh(2, 1), mesh(0, 2)], composition };
     let camera = camera();
-    // The turn of quaternions and harmonics, by the formulas that the crate's own exact one must agree with.
+    // Rotation of quaternions and harmonics by formulas that the crate's own exact rotation must agree with.
     let mut arrays = scene.splats.clone().into_arrays();
     let harmonics = sh::Rotation::new(TURN);
     arrays.means.iter_mut().for_each(|p| *p = turned(*p).into());
@@ -141,7 +141,7 @@ fn openusd_finds_what_was_written() {
         format::write_scene(&file, &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
         script("check", &file, &expected);
     }
-    // What OpenUSD makes of it in binary says the same.
+    // OpenUSD's conversion to binary has the same content.
     let [ours, binary] =
         ["hybrid.usda", "hybrid.usdc"].map(|name| format::read_scene(&folder.path().join(name)).unwrap());
     assert!(ours == binary);
@@ -176,7 +176,7 @@ fn what_openusd_wrote_is_where_openusd_says() {
         let size = expected.x_axis.x + expected.y_axis.y + expected.z_axis.z;
         assert!(expected.abs_diff_eq(covariance(after, i), 3e-6 * size), "{expected} {}", covariance(after, i));
         assert!((sigmoid(before.opacity_logits()[i]) - sigmoid(after.opacity_logits()[i])).abs() < 1e-6);
-        // What was seen along a direction is seen along the turned one.
+        // The radiance seen along a direction is seen along the rotated direction.
         let direction = DVec3::new(0.3, -0.5, 0.8).normalize();
         let red = |s: &Splats, d: DVec3| -> f64 {
             s.sh_of(i).iter().zip(sh::basis(d.to_array())).map(|(c, y)| f64::from(c[0]) * y).sum()
@@ -194,7 +194,7 @@ fn what_openusd_wrote_is_where_openusd_says() {
         let pixel = camera.project(p);
         let theirs = [(x + 1.0) / 2.0 * f64::from(k.width), (1.0 - y) / 2.0 * f64::from(k.height)];
         if p.z > 1e-3 && pixel.length() < 1e5 {
-            // The image has a whole number of pixels, the apertures need not.
+            // The image has an integer number of pixels, but apertures need not correspond to one.
             let near = (pixel.x - theirs[0]).abs().max((pixel.y - theirs[1]).abs());
             assert!(near < 1e-3 + 1e-5 * pixel.length(), "{pixel} {theirs:?}");
             compared += 1;
@@ -214,7 +214,7 @@ fn splats_of_nvidias_converter_are_read() {
         let tool = Path::new(&python()).with_file_name("usd-convert-gsplat");
         let output = Command::new(tool).arg("-i").arg(&from).arg("-o").arg(&to).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        // It keeps the axes of the PLY and says y up.
+        // The program keeps the axes of the PLY but declares y up.
         let after = Similarity::HALF_TURN.splats(format::read_scene(&to).unwrap().splats).unwrap();
         let e = Loss::of_splats(&before, &after).max_error;
         assert!(e.mean == 0.0 && e.sh == 0.0 && e.color == 0.0, "{e:?}");

@@ -1,4 +1,4 @@
-//! Validation of files that nobody of this project made. `CENTAUR_DATA` names the folder (default `../shared/data`).
+//! Validation of files made by other projects. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use crate::common::data;
 use centaur::format::{Severity, Validation, validate};

@@ -1,8 +1,9 @@
 """bench_ray.py on a cluster of two nodes on this machine: `check_bench_ray.py "PROGRAM" CAPTURE FOLDER`.
 
-Two scenes (links to one capture) times two variants, coarse; each node takes one job at a time, so both must work. Then two jobs of a
-made-up program on the second node, which says of itself that it has two GPUs: each must have its own. Then one that fails once, and one
-that kills the worker it runs under and is still at it when Ray has started that anew: it must be waited for.
+First two scenes (links to one capture) with two variants at coarse settings; each node takes one job at a time, so both
+must work. Then two jobs of a fictitious program on the second node, which claims to have two GPUs: each job must get
+its own. Then a job that fails once, and one that kills the worker above it and still holds the job when Ray has
+restarted it: it must be waited for.
 """
 
 import contextlib
@@ -23,7 +24,7 @@ COARSE = ["--max-side", "48", "--iterations", "20", "--surface-iterations", "10"
           "--texture-size", "64", "--max-splats", "2000"]
 
 
-# Both jobs wait until both run. Vulkan's order is not that of NVIDIA's tools.
+# Both jobs wait until both run. Vulkan's order differs from that of NVIDIA's tools.
 STAND_IN = """
 import json, os, pathlib, sys, time
 folder = pathlib.Path(__file__).parent
@@ -75,7 +76,7 @@ NVIDIA_SMI = "#!/bin/sh\nprintf '0, GPU-aa, 00000000:41:00.0\\n1, GPU-bb, 000000
 
 
 def bench(arguments, code=0):
-    """What bench_ray.py prints, which has to end so."""
+    """Output of bench_ray.py, after checking its exit status."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         try:

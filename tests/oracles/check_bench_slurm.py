@@ -1,8 +1,9 @@
-"""bench.sbatch on a cluster of Slurm, two nodes on this machine: `check_bench_slurm.py PROGRAM CAPTURE FOLDER`, as root.
+"""bench.sbatch on a Slurm cluster of two nodes on this machine: `check_bench_slurm.py PROGRAM CAPTURE FOLDER`, as root.
 
-Two scenes (links to one capture) times two variants, coarse, as an array of two tasks, one on each node, which both say that they have a GPU.
-Then a training that would take a day and is given three minutes, two of them for its end: it must save a checkpoint, and go on from it when
-it is submitted again. Controller and nodes have their files in FOLDER, and ports of their own: a Slurm that is there already is left alone.
+First two scenes (links to one capture) with two variants at coarse settings, as an array of two tasks, one on each
+node; both nodes claim to have a GPU. Then a training that would take a day with a time limit of three minutes, two of
+them for its end: it must save a checkpoint, and resume from it when submitted again. Controller and nodes have their
+files in FOLDER, and their own ports: an existing Slurm is not touched.
 """
 
 import contextlib
@@ -39,7 +40,7 @@ def run(*command, **options):
 
 @contextlib.contextmanager
 def cluster(folder):
-    """A controller and two nodes; SLURM_CONF names their configuration."""
+    """Starts a controller and two nodes; SLURM_CONF names their configuration."""
     (controller_port, *ports), host, user = free_ports(3), socket.gethostname(), getpass.getuser()
     munge = folder / "munge"
     for path in [munge, folder / "state"]:
@@ -55,13 +56,13 @@ def cluster(folder):
         "SelectType": "select/cons_tres", "SelectTypeParameters": "CR_Core", "GresTypes": "gpu", "SlurmdParameters": "config_overrides",
     }
     lines = [f"{name}={value}" for name, value in settings.items()]
-    # As much of everything as bench.sbatch asks for, whatever this machine has.
+    # As many resources as bench.sbatch asks for, whatever this machine has.
     lines += [f"NodeName={n} NodeHostname={host} NodeAddr=127.0.0.1 Port={p} CPUs=4 RealMemory=32768 Gres=gpu:1" for n, p in zip(NODES, ports)]
     lines.append(f"PartitionName=all Nodes={','.join(NODES)} Default=YES")
     (folder / "slurm.conf").write_text("\n".join(lines) + "\n")
     (folder / "gres.conf").write_text(f"NodeName={','.join(NODES)} Name=gpu File=/dev/null\n")
     os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
-    # Not where a login shell looks.
+    # In a folder where a login shell would not look.
     os.environ["PATH"] += ":/usr/sbin"
     daemons = [["munged", "--foreground", "--force", *(f"--{name}={munge}/{name.split('-')[0]}" for name in ["socket", "key-file", "log-file", "pid-file", "seed-file"])],
                ["slurmctld", "-D"], *(["slurmd", "-D", "-N", node] for node in NODES)]
@@ -91,8 +92,8 @@ def wait_for(what, is_so, seconds):
 
 
 def submit(program, folder, array, *options, time_limit=None):
-    """Submits and waits; what the tasks said, by task, and the states they ended in."""
-    # Beside those of bench.sbatch, so that nothing is left in the repository's folder.
+    """Submits and waits; returns the output of the tasks, by task, and their final states."""
+    # Options in addition to those of bench.sbatch, so that no files are left in the repository's folder.
     flags = ["--parsable", "--wait", f"--array={array}", f"--output={folder}/%A_%a.log", *([f"--time={time_limit}"] if time_limit else [])]
     environment = {**os.environ, "CENTAUR_PROGRAM": program}
     done = subprocess.run(["sbatch", *flags, "datasets-scripts/bench.sbatch", *map(str, options)],
@@ -124,7 +125,7 @@ def check_time_limit(program, folder, scenes):
     iterations = [0]
     for _ in range(2):
         status, said, states = submit(program, folder, "0", *options, time_limit="0:03:00")
-        # Not killed: it ended in good time, and says that it has not all been done.
+        # Not killed: it ended in time, and reports that not all is done.
         assert status == 1 and "JobState=FAILED" in states, (status, states)
         assert said["0"].endswith("error: stopped; the same command goes on\n"), said
         (checkpoint,) = out.rglob("*.checkpoint")
@@ -134,7 +135,7 @@ def check_time_limit(program, folder, scenes):
 
 
 def iteration(checkpoint):
-    """At which it was saved: it is a file of safetensors."""
+    """Iteration at which the checkpoint, a safetensors file, was saved."""
     with checkpoint.open("rb") as file:
         (length,) = struct.unpack("<Q", file.read(8))
         metadata = json.loads(file.read(length))["__metadata__"]

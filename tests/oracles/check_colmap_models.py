@@ -5,8 +5,8 @@
     python tests/oracles/check_colmap_models.py            # compare, exit 1 on a difference above 1e-9 pixels
     python tests/oracles/check_colmap_models.py --write    # make the file anew
 
-Written with pycolmap 4.2.1, which knows all of these models. Per camera model the file holds parameters, camera-space points
-and the pixels they fall on.
+Written with pycolmap 4.2.1, which knows all of these models. For each camera model the file contains parameters,
+camera-space points and their pixels.
 """
 import argparse
 import json
@@ -44,7 +44,7 @@ POINTS = [[0.0, 0.0, 1.0], [0.4, -0.3, 1.0], [-0.7, 0.2, 1.5], [0.1, 0.9, 1.2], 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="make the file anew")
+    parser.add_argument("--write", action="store_true", help="write the file")
     arguments = parser.parse_args()
     if arguments.write:
         cases = [{"model": m, "params": p, "points": POINTS} for m, p in MODELS.items()]
@@ -66,7 +66,7 @@ def main():
         print(f"{case['model']:28} {differences[-1]:.1e} px")
     if arguments.write:
         FILE.write_text("[\n" + ",\n".join(json.dumps(c) for c in cases) + "\n]\n")
-    # Unlike `max`, numpy's keeps what is not a number.
+    # Unlike `max`, numpy's maximum propagates NaN.
     worst = np.max(differences)
     sys.exit(0 if worst < 1e-9 else f"largest difference {worst} px")
 

@@ -3,12 +3,13 @@
 
     python check_composition.py CENTAUR SCENE.glb… [--trained SCENE.glb…]      # CENTAUR: path of the program, or a command: "cargo run --"
 
-Each scene of Centaur's, and a harder one made of it, is rendered from its first camera in all modes with 1, 2 and 4
-layers, by that script and by the program CENTAUR, to which it is given as a copy with the scene object changed. Exit 1
-if an image differs by MOST in any value, or by more than LIMIT on average: a tenth of what the extension's README allows for a claim of
-*composition*, and less than images of two modes differ by. A trained scene has many splats behind each other in every pixel, some
-of which pass a threshold of the text (a part of 1/255, a transmittance of 10⁻⁴) by less than single precision tells: there alone,
-CUT_OFFS of the values may differ by more than MOST, none by FAR.
+Each given scene, and a harder one made from it, is rendered from its first camera in all modes with 1, 2 and 4 layers,
+by that script and by the program CENTAUR, which gets a copy with a changed scene object. Exit 1 if an image differs by
+more than MOST in any value, or by more than LIMIT on average: a tenth of what the extension's README allows for a claim
+of *composition*, and less than images of two modes differ by. A trained scene has many splats behind each other in
+every pixel, some of which pass a threshold of the specification (a contribution of 1/255, a transmittance of 10⁻⁴) by
+less than single precision resolves: only there, a share of CUT_OFFS of the values may differ by more than MOST, none by
+more than FAR.
 """
 import concurrent.futures
 import functools
@@ -26,17 +27,17 @@ import OpenEXR
 
 from composition import EXT, KHR, Asset, View, contract_of, project_splats, render
 
-LIMIT = 1e-4  # ten times what rounding in single precision adds up to over some tens of layers of splats
-MOST = 1e-3  # the same of the worst value; images of two modes differ by more than 2·LIMIT on average
-CUT_OFFS = 5e-4  # 14 values of 28,224, or five pixels; scenes of several trainings, no two of which are alike, had 1 to 4 values
-FAR = 1e-2  # two and a half times 1/255, which a splat at its threshold adds at most for a colour of 1; colours may exceed that
+LIMIT = 1e-4  # ten times the accumulated single-precision rounding over some tens of layers of splats
+MOST = 1e-3  # the same for the worst value; images of two modes differ by more than 2·LIMIT on average
+CUT_OFFS = 5e-4  # 14 values of 28,224, or five pixels; scenes of several different trainings had 1 to 4 values
+FAR = 1e-2  # two and a half times 1/255, the most that a splat at its threshold adds for a colour of 1; colours can be larger
 MODES = ["stable", "surfaceConsistent", "direct"]
 
 
 def crowded(path):
-    """A harder scene from the file at `path`: its meshes several times over, through each other, one stretched and one
-    mirrored, more transparent; its splats larger, more transparent, moved, turned and stretched by their node; 112 pixels wide,
-    with a background and cut by the near plane, and with a normalised footprint."""
+    """A harder scene made from the file at `path`: several intersecting copies of its meshes, one stretched and one
+    mirrored, more transparent; its splats larger, more transparent, and moved, rotated and stretched by their node; 112
+    pixels wide, with a background, cut by the near plane, and with a normalised footprint."""
     asset = Asset(path)
     json_ = asset.json
     data = bytearray(asset.bin)
@@ -86,7 +87,7 @@ def centaur_render(program, asset):
 
 
 def both(asset, program, rule):
-    """The image by this rule, its λ, and how far the program's differs from it."""
+    """The image by this rule, its λ, and its difference from the program's image."""
     mode, layers, share = rule
     contract = contract_of(asset)
     contract.update(mode=mode, layers=layers)
@@ -99,7 +100,7 @@ def both(asset, program, rule):
 
 
 def compare(name, asset, program, trained):
-    """Whether all modes, numbers of layers and a finite and the infinite λ are within the limits; and the images."""
+    """Whether all modes, numbers of layers, a finite and the infinite λ are within the limits; and the images."""
     ok, images = True, {}
     rules = [(mode, *rest) for mode, rest in itertools.product(MODES, [(1, 0.1), (2, 0.1), (4, 0.1), (2, None)])]
     with concurrent.futures.ProcessPoolExecutor() as processes:
@@ -129,7 +130,7 @@ def main():
         for a, b in itertools.combinations(images, 2):
             if a[2] == b[2] and (a[0] == b[0]) != (a[1] == b[1]):
                 apart[a, b] = max(apart.get((a, b), 0), abs(images[a] - images[b]).mean())
-    # Images that are alike would agree whatever the rule.
+    # Images that are equal in all modes would agree whatever the rule.
     print(f"images of two modes or numbers of layers differ by {min(apart.values()):.1e} at least")
     sys.exit(not (ok and min(apart.values()) > 2 * LIMIT))
 

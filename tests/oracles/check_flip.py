@@ -1,4 +1,4 @@
-"""FLIP by its own package: prints the figures that src/metrics/flip.rs is held to.
+"""FLIP by its own package: prints the reference values used in src/metrics/flip.rs.
 
   check_flip.py [FOLDER …]    fails where the package gives others; also takes the pictures of `centaur eval -o FOLDER` and compares with the figures there
 """
@@ -15,7 +15,8 @@ GOLDEN = {(64, 48): 0.377455, (31, 17): 0.353533, (5, 3): 0.444331}
 
 
 def pictures(width, height):
-    """Smooth colours with lines, moved by two pixels and brightened, 8 bits; `pictures` of the test makes the same."""
+    """Smooth colours with lines, shifted by two pixels and brightened, 8 bits; `pictures` in the test makes the
+    same."""
     y, x = np.mgrid[0:height, 0:width]
 
     def colors(x, y):
@@ -30,9 +31,9 @@ def flip(truth, render):
 
 
 def compare(folder):
-    """Sheets of `centaur eval -o` against the figures beside them."""
+    """Compares sheets of `centaur eval -o` with the figures beside them."""
     differences = [abs(flip(truth, render) - view["flip"]) for view, truth, render in eval_sheets.views(folder)]
-    # Sums of f32 over some 10,000 pixels, by two versions of the program: 8e-6 was seen.
+    # Sums of f32 over about 10,000 pixels, by two versions of the program: a difference of 8e-6 was seen.
     assert differences and all(difference < 2e-5 for difference in differences), f"{folder}: {differences}"
     print(f"{folder}: {len(differences)} views, largest difference {max(differences):.1e}")
 

@@ -1,4 +1,4 @@
-"""Validates the JSON of .glb files against Khronos' own schema of glTF 2.0, as trimesh carries it.
+"""Validates the JSON of .glb files against Khronos' own schema of glTF 2.0, as bundled with trimesh.
 
 Usage: python check_gltf_schema.py FILE.glb ...      Exit code 1 if a file has a fault.
 """
@@ -22,7 +22,7 @@ def document(path):
 def main(paths):
     schema = get_schema()
     validator = jsonschema.validators.validator_for(schema)(schema)
-    # The schema must be able to find fault, or its silence says nothing.
+    # The schema must be able to detect faults, otherwise finding none would mean nothing.
     planted = {"asset": {}, "accessors": [{"componentType": 5126, "count": 0, "type": "VEC3"}]}
     assert len(list(validator.iter_errors(planted))) == 2, "the schema passes a broken document"
     failed = False

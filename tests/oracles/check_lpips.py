@@ -1,8 +1,9 @@
-"""The published weights of LPIPS: are they those, and does `centaur eval` score with them what the authors' package scores?
+"""Checks that LPIPS weights are the published ones, and that `centaur eval` scores with them as the authors' package
+does.
 
   check_lpips.py VGG.safetensors FOLDER ALEX.safetensors FOLDER      folders of `centaur eval --lpips-weights … -o FOLDER`
 
-torchvision's server is not asked: its weights are recognised by what others have printed of them.
+torchvision's server is not used: its weights are recognised by values that others have printed.
 """
 
 import math
@@ -17,8 +18,8 @@ import torchvision
 from lpips_fixture import published_model, put_convolutions, tensor
 from safetensors.torch import load_file
 
-# Printed by torch of the weights that torchvision gives out, five digits: begin of the first convolution, corners of
-# its first row, end of the last one.
+# Five digits, printed by torch for the weights distributed by torchvision: beginning of the first convolution, corners
+# of its first row, end of the last one.
 PRINTED = {
     "vgg": [
         ("conv1_1.weight", (0, 0, 0), [-0.5537, 0.1427, 0.5290]),
@@ -34,18 +35,18 @@ PRINTED = {
         ("conv1.weight", (0, 0, 0, slice(8, 11)), [5.5822e-02, 2.1575e-02, 4.9963e-02]),
     ],
 }
-# Half of the fourth digit, and what sums of f32 differ by. Noise of 1 % in any one convolution moves at least three of the ten
-# distances below by more; a convolution of weights rounded to 16 bits moves none to two.
+# Half of the fourth digit, plus rounding of f32 sums. Noise of 1 % in any one convolution changes at least three of the
+# ten distances below by more; a convolution with weights rounded to 16 bits changes none to two.
 PRINTED_TO = 0.55e-4
-# Distances by VGG of ten pairs of pictures of numpy.random.seed(123), as printed by a user of the package, −1…1.
+# VGG distances of ten pairs of pictures of numpy.random.seed(123), printed by a user of the package, −1…1.
 OF_NUMPY = [0.3497, 0.3494, 0.3473, 0.3558, 0.3437, 0.3366, 0.3716, 0.3516, 0.3472, 0.3413]
-# Their mean of torch.manual_seed(123), in the documentation of torchmetrics: 0.11 for −1…1, 0.8 for 0…1.
+# Their mean for torch.manual_seed(123), in the documentation of torchmetrics: 0.11 for −1…1, 0.8 for 0…1.
 OF_TORCH = {True: 0.3493, False: 0.3566}
 
 
 @torch.no_grad()
 def check_published_distances(file):
-    """VGG's, to the four digits that are printed. Of AlexNet none were found whose pictures can be had."""
+    """Checks VGG to the four printed digits. For AlexNet, no published distances of available pictures were found."""
     model = published_model("vgg", file)
     np.random.seed(123)
     pair = [torch.tensor(np.random.rand(10, 3, 100, 100), dtype=torch.float32) for _ in range(2)]
@@ -53,7 +54,8 @@ def check_published_distances(file):
     print("VGG, numpy's pictures:", [f"{d:.4f}" for d in found])
     assert all(abs(f - d) < PRINTED_TO for f, d in zip(found, OF_NUMPY, strict=True))
 
-    # There the network is made after the seed and before the pictures, with all its layers, which takes random numbers.
+    # There the network, with all its layers, is created between setting the seed and making the pictures, which draws
+    # random numbers.
     torch.manual_seed(123)
     make = torchvision.models.vgg16
     with mock.patch.object(lpips.pretrained_networks.tv, "vgg16", lambda pretrained: make(init_weights=False)):
@@ -69,7 +71,7 @@ def check_published_distances(file):
 def check_printed(net, weights):
     for name, at, printed in PRINTED[net]:
         found = weights[name][at].tolist()
-        # Half of the last digit that torch prints: the fourth after the point, or the fifth that counts.
+        # Half of the last digit that torch prints: the fourth decimal, or the fifth significant digit.
         half = [0.51e-4 if abs(p) > 0.12 else 0.51 * 10.0 ** (math.floor(math.log10(abs(p))) - 4) for p in printed]
         assert all(abs(f - p) <= h for f, p, h in zip(found, printed, half, strict=True)), f"{name} {at}: {printed} {found}"
     print(f"{net}: {sum(len(p) for *_, p in PRINTED[net])} printed weights of torchvision agree")
@@ -84,7 +86,7 @@ def check_views(net, file, folder):
             found = view["lpips"][name]
             assert view["lpips"]["net"] == net
             difference = abs(found / expected - 1)
-            # Also of what is not a number.
+            # Also true for NaN.
             assert difference < 1e-4, f"{net} {view['name']} {name}: {found}, by the package {expected}"
             worst, count = max(worst, difference), count + 1
             print(f"{net} {view['name']} {name}: {found:.6f}, by the package {expected:.6f}")

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """The composition of EXT_gaussian_splatting_hybrid in numpy, written from the extension's README alone.
 
-Not here: skins, morph targets, bindings, fields, images as texels. check_composition.py compares it with Centaur.
+Not implemented: skins, morph targets, bindings, fields, images as texels. check_composition.py compares it with
+Centaur.
 """
 import itertools
 import json
@@ -42,7 +43,7 @@ class Asset:
         return values[:, 0] if width == 1 else values
 
     def nodes(self):
-        """(node, global transform) in document order."""
+        """Nodes as (node, global transform) in document order."""
         scene = self.json["scenes"][self.json.get("scene", 0)]
         stack = [(i, np.eye(4)) for i in reversed(scene["nodes"])]
         while stack:
@@ -72,7 +73,8 @@ def rotations(q):
 
 
 def orthogonal(matrix):
-    """The orthogonal polar factor of the linear part: a rotation, or where that mirrors one and a reflection."""
+    """The orthogonal polar factor of the linear part: a rotation, or with a mirroring transform a rotation and a
+    reflection."""
     u, _, vt = np.linalg.svd(matrix[:3, :3])
     return u @ vt
 

@@ -1,4 +1,4 @@
-"""The sheets that `centaur eval -o FOLDER` writes (photograph | render | error) with the figures beside them."""
+"""Reads the sheets that `centaur eval -o FOLDER` writes (photograph | render | error) with the figures beside them."""
 
 import json
 import pathlib
@@ -8,7 +8,7 @@ from PIL import Image
 
 
 def views(folder):
-    """Of every view: its figures in metrics.json, photograph and render, 8 bits."""
+    """For every view: its figures in metrics.json, photograph and render, 8 bits."""
     folder = pathlib.Path(folder)
     for view in json.loads((folder / "metrics.json").read_text())["views"]:
         sheet = np.asarray(Image.open(folder / pathlib.Path(view["name"]).with_suffix(".png").name).convert("RGB"))

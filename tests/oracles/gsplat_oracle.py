@@ -34,7 +34,8 @@ SH_C0 = 0.28209479177387814
 
 
 def pairs_in_range(start, end, transmittances, means2d, conics, opacities, width, height, tile_size, offsets, flatten_ids):
-    """CPU stand-in for gsplat's CUDA kernel: the (splat, pixel, image) triples that contribute, in blending order per pixel."""
+    """CPU stand-in for gsplat's CUDA kernel: the contributing triples (splat, pixel, image), in blending order per
+    pixel."""
     assert means2d.shape[0] == 1 and start == 0, "one image, one batch"
     centre, conic, opacity = means2d[0].detach(), conics[0].detach(), opacities[0].detach()
     first = offsets.flatten().tolist() + [len(flatten_ids)]
@@ -87,7 +88,7 @@ def load_gsplat():
 
 
 def render(reference, p, viewmat, K, width, height, background):
-    """Image [H, W, 3] and alpha [H, W] of raw parameters, all functions but the activations gsplat's own."""
+    """Image [H, W, 3] and alpha [H, W] from raw parameters; all functions except the activations are gsplat's own."""
     opacities = torch.sigmoid(p["opacity_logits"])
     covariances, _ = reference._quat_scale_to_covar_preci(p["quats"], torch.exp(p["log_scales"]), True, False, False)
     radii, means2d, depths, conics, _ = reference._fully_fused_projection(p["means"], covariances, viewmat[None], K[None], width, height)
@@ -118,7 +119,7 @@ def choose_splats(garden, viewmat, K, width, height, count, rng):
     opacity = rng.uniform(0.05, 0.95, count)
     sh = rng.normal(scale=0.1, size=(count, 16, 3))
     sh[:, 0] = (garden["colors"][chosen] / 255 - 0.5) / SH_C0
-    # One to five pixels across, whatever the depth.
+    # One to five pixels wide at any depth.
     size = camera[chosen, 2:] / K[0, 0] * np.exp(rng.uniform(np.log(0.5), np.log(2.5), (count, 3)))
     logits = np.log(opacity / (1 - opacity))
     p = dict(means=points[chosen], quats=rng.normal(size=(count, 4)), log_scales=np.log(size), opacity_logits=logits, sh=sh)

@@ -4,8 +4,8 @@
       writes FOLDER/{random,published}-{vgg,alex}.safetensors (weights, by datasets-scripts/lpips_weights.py) and .json:
       distances of two pictures at every depth, colours −1…1 and 0…1
 
-Random weights show that the arithmetic is the package's whatever the weights; the published ones, of the files named, that
-what the converter writes means the same to both.
+Random weights test the arithmetic for arbitrary weights; the published ones, from the given files, test that the
+converter's output has the same meaning for both programs.
 """
 
 import json
@@ -25,7 +25,7 @@ SIZES = [(64, 64), (71, 53)]
 
 
 def picture(width, height, phase):
-    """Smooth waves with some noise, 8 bits, which the test makes anew from the bytes."""
+    """Smooth waves with some noise, 8 bits, which the test reconstructs from the bytes."""
     y, x = np.mgrid[0:height, 0:width]
     waves = [np.sin(0.3 * x + phase + c) * np.cos(0.2 * y - phase * c) for c in range(3)]
     noise = np.random.default_rng(int(10 * phase)).uniform(-0.2, 0.2, (height, width, 3))
@@ -52,7 +52,7 @@ def random_model(net):
 
 @torch.no_grad()
 def published_model(net, file):
-    """Linear layers as the package brings them, convolutions of the file."""
+    """A model with the package's linear layers and the file's convolutions."""
     model = lpips.LPIPS(net=net, version="0.1", pnet_rand=True, verbose=False).eval()
     put_convolutions(model, net, load_file(file))
     return model
@@ -87,7 +87,7 @@ def main():
     for net, file in zip(["vgg", "alex"], sys.argv[2:], strict=True):
         write(folder, f"random-{net}", net, random_model(net))
         write(folder, f"published-{net}", net, published_model(net, file))
-        # Linear layers are the package's here, so this compares those bit by bit.
+        # The linear layers are the package's here, so this compares those of the file bit by bit.
         written = (folder / f"published-{net}.safetensors").read_bytes()
         assert written == pathlib.Path(file).read_bytes(), f"{file} is not what --from lpips writes"
         print(f"{file}: as --from lpips writes it; linear layers are those of lpips {version('lpips')}, bit by bit")

@@ -1,15 +1,16 @@
-"""Trains splats by gsplat's own kernels and MCMC strategy, to stand beside `centaur train --no-mesh`: same photographs, iterations,
-number of splats, degree and rates.
+"""Trains splats with gsplat's own kernels and MCMC strategy, for comparison with `centaur train --no-mesh`: same
+photographs, iterations, number of splats, degree and learning rates.
 
     pip install gsplat==1.5.3 pillow scipy        (and torch; needs an NVIDIA GPU and its compiler, nvcc)
     centaur cameras convert CAPTURE -o cameras.json
     python train_gsplat.py CAPTURE cameras.json OUT.ply [--iterations 7000] [--max-splats 300000] [--json OUT.json]
 
-CAPTURE is a COLMAP model of pinholes with images/; every 8th photograph is held out. `centaur eval OUT.ply CAPTURE` scores the result.
-Constants are those of gsplat's example trainer for MCMC, at their defaults. In gsplat's favour photographs lie on the GPU before the clock
-starts, and Adam is fused; against it SSIM, for which that trainer takes a kernel that PyPI does not have, is compiled by torch: what it
-takes is told apart. Density control begins after 500 iterations, so that shorter runs have none.
-The clock stands still during set-up, the first ten iterations (which compile) and scoring.
+CAPTURE is a COLMAP model of pinhole cameras with images/; every 8th photograph is held out. `centaur eval OUT.ply
+CAPTURE` scores the result. Constants are the defaults of gsplat's example trainer for MCMC. To gsplat's advantage,
+photographs are on the GPU before timing starts, and Adam is fused; to its disadvantage, SSIM, for which that trainer
+uses a kernel that is not on PyPI, is compiled by torch: its time is reported separately. Density control begins after
+500 iterations, so shorter runs have none.
+The clock is stopped during set-up, the first ten iterations (which compile) and scoring.
 """
 
 import argparse
@@ -31,7 +32,7 @@ WARM_UP = 10
 
 
 def read_points(path):
-    """Positions [N, 3] and colours [N, 3] in 0..1 of COLMAP's points3D.bin."""
+    """Reads positions [N, 3] and colours [N, 3] in 0..1 from COLMAP's points3D.bin."""
     data = Path(path).read_bytes()
     (count,) = struct.unpack_from("<Q", data)
     at, points, colours = 8, [], []
@@ -44,7 +45,7 @@ def read_points(path):
 
 
 def read_views(capture, cameras):
-    """World to camera [N, 4, 4] (OpenCV axes), intrinsics [N, 3, 3] and photographs [N, H, W, 3] u8, by name."""
+    """Reads world to camera [N, 4, 4] (OpenCV axes), intrinsics [N, 3, 3] and photographs [N, H, W, 3] u8, by name."""
     document = json.loads(Path(cameras).read_text())
     poses, intrinsics, photographs = [], [], []
     for frame in sorted(document["frames"], key=lambda f: f["file_path"]):
@@ -61,10 +62,11 @@ WEIGHTS = torch.exp(-((torch.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
 WEIGHTS = (WEIGHTS / WEIGHTS.sum()).tolist()
 
 
-# Three graphs, so that the compiler writes down blurred rows in place of blurring them anew for every row of a column.
+# Three graphs, so that the compiler stores blurred rows instead of blurring them again for every row of a column.
 @torch.compile
 def blur_rows(x, y):
-    """[5, 3, H, W]: what SSIM averages of two pictures [3, H, W], by a Gaussian of 11 taps along x, zeros outside."""
+    """[5, 3, H, W]: the windowed moments for SSIM of two pictures [3, H, W], blurred by a Gaussian of 11 taps along x,
+    zeros outside."""
     maps = torch.nn.functional.pad(torch.stack([x, y, x * x, y * y, x * y]), (5, 5, 0, 0))
     return sum(WEIGHTS[i] * maps[..., i : i + x.shape[2]] for i in range(11))
 
@@ -84,13 +86,13 @@ def loss_of_means(x, y, means):
 
 
 def loss_of(image, truth):
-    """0.8 L1 + 0.2 (1 - SSIM) of [H, W, 3] in 0..1, SSIM as INRIA's."""
+    """0.8 L1 + 0.2 (1 - SSIM) of [H, W, 3] in 0..1, with SSIM as in INRIA's code."""
     x, y = image.permute(2, 0, 1), truth.permute(2, 0, 1)
     return loss_of_means(x, y, blur_columns(blur_rows(x, y)))
 
 
 def milliseconds_of_loss(image, truth):
-    """Of the loss and its gradient, the mean of 100 that follow each other as those of a training do."""
+    """Time of the loss and its gradient, the mean of 100 consecutive evaluations as in training."""
     x = image.detach().requires_grad_()
     begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
     begin.record()
@@ -102,7 +104,7 @@ def milliseconds_of_loss(image, truth):
 
 
 def initial_splats(points, colours):
-    """What gsplat's example trainer begins with for MCMC."""
+    """Initial splats of gsplat's example trainer for MCMC."""
     from scipy.spatial import cKDTree
 
     distances = cKDTree(points).query(points, k=4)[0][:, 1:]
@@ -121,14 +123,14 @@ def initial_splats(points, colours):
 
 
 def optimised(values, scene_scale):
-    """The same as parameters on the GPU, and an optimiser each."""
+    """The splats as parameters on the GPU, with an optimiser each."""
     rates = {"means": 1.6e-4 * scene_scale, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
     parameters = torch.nn.ParameterDict({k: torch.nn.Parameter(v.float().contiguous()) for k, v in values.items()}).cuda()
     return parameters, {k: torch.optim.Adam([parameters[k]], lr=rates[k], eps=1e-15, fused=True) for k in values}
 
 
 def read_ply(path):
-    """Parameters of degree 3 of a PLY in INRIA's layout, by the names of gsplat."""
+    """Reads parameters of degree 3 from a PLY in INRIA's layout, by gsplat's names."""
     data = Path(path).read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
     header = data[:end].decode().split("\n")
@@ -153,7 +155,7 @@ def main():
     arguments.add_argument("out")
     arguments.add_argument("--iterations", type=int, default=7000)
     arguments.add_argument("--max-splats", type=int, default=300_000)
-    arguments.add_argument("--start", metavar="FILE.ply", help="splats to begin with, all their bands in use, instead of the points")
+    arguments.add_argument("--start", metavar="FILE.ply", help="initial splats, with all their SH bands in use, instead of the points")
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--json")
     options = arguments.parse_args()

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""OpenUSD's own view of what Centaur writes, and files of OpenUSD for Centaur to read. Called by tests/integration/usd_oracle.rs.
+"""OpenUSD's reading of files that Centaur writes, and OpenUSD files for Centaur to read. Called by
+tests/integration/usd_oracle.rs.
 
     usd_check.py check FILE EXPECTED.json     # opens FILE, compares values, runs ComplianceChecker and VG.035
     usd_check.py write FILE SPLATS.json       # writes splats below moved prims, prints where they are as JSON
@@ -24,7 +25,7 @@ def check(what, holds):
 
 
 def same(what, found, expected, tolerance=0.0):
-    # JSON has as many digits as bring back a float of 32 bits.
+    # JSON has enough digits to restore a 32-bit float.
     found, expected = (np.array(v, np.float32).astype(np.float64).ravel() for v in (found, expected))
     check(f"{what}: {found.size} values for {expected.size}", found.size == expected.size)
     if found.size == expected.size:
@@ -33,7 +34,7 @@ def same(what, found, expected, tolerance=0.0):
 
 
 def vg035(file):
-    """What NVIDIA's rules for splats find."""
+    """Findings of NVIDIA's rules for splats."""
     tool = pathlib.Path(sys.executable).parent / "nvidia_usd_validate"
     report = pathlib.Path(file).with_suffix(".vg035.json")
     run = subprocess.run(
@@ -66,7 +67,7 @@ def splats(stage, expected):
 
 
 def known(prim):
-    """Every attribute is one of the schema, of the type that it demands, or custom."""
+    """Checks that every attribute is in the schema with the required type, or custom."""
     definition = prim.GetPrimDefinition()
     for attribute in prim.GetAuthoredAttributes():
         name = attribute.GetName()
@@ -116,7 +117,7 @@ def cameras(stage, expected):
         for point, pixel in camera["points"]:
             x, y, _ = matrix.Transform(Gf.Vec3d(*point))
             found = [(x + 1) / 2 * camera["width"], (1 - y) / 2 * camera["height"]]
-            # Apertures are of single precision: 6e-8 of a thousand pixels, a few times.
+            # Apertures are in single precision: 6e-8 of a thousand pixels, a few times.
             same(f"{camera['path']}: pixel", found, pixel, 1e-3)
 
 
@@ -141,7 +142,7 @@ def check_file(file, expected):
 
 
 def broken_is_found(file):
-    """A file that VG.035 must refuse: else it does not look at ours either."""
+    """A file that VG.035 must refuse, which shows that the rule is applied at all."""
     broken = str(pathlib.Path(file).with_name("broken.usda"))
     stage = Usd.Stage.Open(file)
     schema = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Scene/splats"))
@@ -152,7 +153,7 @@ def broken_is_found(file):
 
 
 def write_file(file, given):
-    """Splats below a prim that every kind of operation moves, in centimetres, z up."""
+    """Writes splats below a prim that is transformed by every kind of operation, in centimetres, z up."""
     stage = Usd.Stage.CreateNew(file)
     UsdGeom.SetStageUpAxis(stage, "Z")
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)

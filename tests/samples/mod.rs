@@ -1,4 +1,4 @@
-//! One small file, or set of files, for every reader: what tests damage, and what fuzzing starts from.
+//! A small file, or set of files, for every reader: damaged by tests, and the initial corpus of fuzzing.
 
 #![allow(dead_code, reason = "not every program uses everything")]
 
@@ -14,15 +14,15 @@ use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, 
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use image::{ImageFormat, Rgb, RgbImage};
 
-/// What one call of a reader reads.
+/// Input of one call of a reader.
 pub(crate) struct Sample {
-    /// The target in `fuzz/` that begins with it.
+    /// The target in `fuzz/` whose corpus it belongs to.
     pub(crate) reader: &'static str,
     /// Names and contents; several for a capture.
     pub(crate) files: Vec<(&'static str, Vec<u8>)>,
 }
 
-/// A grey photograph of 1×1.
+/// A grey image of 1×1 pixels.
 pub(crate) const PHOTOGRAPH: &[u8] = b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x00\x00\x00\x00:~\x9bU\x00\x00\x00\x0aIDATx\xdach\x00\x00\x00\x82\x00\x81\xdaE\x08;\x00\x00\x00\x00IEND\xaeB`\x82";
 
 /// A triangle, from the glTF tutorial by Khronos.
@@ -48,17 +48,17 @@ const TRANSFORMS: &str = r#"{"camera_angle_x":0.7,"w":1,"h":1,"k1":0.01,"frames"
 {"file_path":"images/a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},
 {"file_path":"images/b","transform_matrix":[[0,0,1,4],[0,1,0,0],[-1,0,0,0],[0,0,0,1]]}]}"#;
 
-/// As nerfstudio's viewer writes it.
+/// As written by nerfstudio's viewer.
 const CAMERA_PATH: &str = r#"{"camera_type":"perspective","render_height":4,"render_width":8,"fps":24,"seconds":1,"camera_path":[
 {"camera_to_world":[0,0,1,7,1,0,0,8,0,1,0,9,0,0,0,1],"fov":90,"aspect":2},
 {"camera_to_world":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1],"fov":60.5,"aspect":2}]}"#;
 
-/// Two parts in two levels of detail, as the other files have them.
+/// Two parts in two levels of detail, with the contents of the other files.
 const LEVELS: &str = r#"{"lodLevels":2,"filenames":["fine.sog","coarse.sog"],"tree":{"children":[
 {"lods":{"0":{"file":0,"offset":0,"count":6},"1":{"file":1,"offset":0,"count":3}}},
 {"lods":{"0":{"file":0,"offset":6,"count":3},"1":{"file":1,"offset":3,"count":1}}}]}}"#;
 
-/// All of them.
+/// All samples.
 pub(crate) fn samples() -> Vec<Sample> {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut samples = vec![];
@@ -77,7 +77,7 @@ pub(crate) fn samples() -> Vec<Sample> {
         let write = |path: &Path| format::write_scene(path, &scene, &WriteOptions::default()).map(drop);
         add(reader, vec![(name, written(folder.path(), name, write))]);
     }
-    // Maps would be files of their own.
+    // Maps would be separate files.
     let bare = HybridScene { meshes: vec![], ..scene.clone() };
     let write = |path: &Path| format::write_scene(path, &bare, &WriteOptions::default()).map(drop);
     add("usda", vec![("scene.usda", written(folder.path(), "scene.usda", write))]);
@@ -140,7 +140,7 @@ pub(crate) fn samples() -> Vec<Sample> {
     samples
 }
 
-/// Of 16×8 pixels, black but for a square of some colour.
+/// A picture of 16×8 pixels, black except for a coloured square.
 fn picture(format: ImageFormat, color: [u8; 3]) -> Vec<u8> {
     let shown = |x: u32, y: u32| if x < 8 && y > 1 { color } else { [0; 3] };
     let mut bytes = Cursor::new(vec![]);
@@ -191,7 +191,7 @@ fn scene(count: usize, degree: u32) -> HybridScene {
     HybridScene { splats, meshes: vec![mesh], composition: Composition::default() }
 }
 
-/// A camera that moves and turns for a quarter of a second.
+/// A camera that moves and rotates for a quarter of a second.
 fn flight() -> CameraFile {
     let frame = |i: usize| {
         let lens = Intrinsics { width: 8, height: 4, fx: 5.0, fy: 5.0, cx: 4.0, cy: 2.0 };

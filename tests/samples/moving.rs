@@ -1,4 +1,5 @@
-//! A glTF in which everything moves that can: a skin with a morph target, a deformation over time, splats on a triangle, a camera.
+//! A glTF in which everything is animated: a skin with a morph target, a deformation over time, splats on a triangle, a
+//! camera.
 
 use serde_json::{Value, json};
 
@@ -30,7 +31,7 @@ impl Content {
     }
 }
 
-/// The document, and its buffer, which it looks for under `uri`.
+/// The document, and its buffer, to which it refers as `uri`.
 pub(crate) fn document(uri: &str) -> (Value, Vec<u8>) {
     let mut c = Content::default();
     let half = std::f32::consts::FRAC_1_SQRT_2;

@@ -3,7 +3,7 @@ use clap::Parser as _;
 use crate::cli::flag_tests::{Options, Row, assert_flags};
 use crate::cli::{Cli, Command};
 
-/// What `centaur bench` is asked for by these flags.
+/// Options of `centaur bench` with these flags.
 fn asked(flags: &str) -> Options {
     let words = ["centaur", "bench", "captures", "-o", "out"].into_iter().chain(flags.split_whitespace());
     let Command::Bench(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };

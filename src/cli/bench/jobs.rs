@@ -495,7 +495,7 @@ mod tests {
         folder
     }
 
-    /// Elsewhere no file has such a name.
+    /// Other systems do not allow such file names.
     #[cfg(unix)]
     #[test]
     fn names_fit_a_line() {
@@ -527,7 +527,7 @@ mod tests {
         assert_eq!(names.len(), 12);
         let joined = |words: Vec<OsString>| words.join(OsStr::new(" ")).into_string().unwrap();
         let line = |i: usize| joined(all[i].command());
-        // Flags of jobs, and then those that no flag replaces.
+        // Flags of the job, followed by those that no other flag overrides.
         let expected = "garden --downscale 4 --antialias --max-splats 9 --no-mesh --max-splats 500 -o out/splats/garden-7.glb \
                         --report out/splats/garden-7 --seed 7 --json --quiet --stop-at-eof";
         assert!(line(3).ends_with(expected), "{}", line(3));
@@ -535,7 +535,7 @@ mod tests {
         assert!(line(8).contains("--downscale 2"), "{}", line(8));
         let free = Args { protocol: None, ..*self::args(folder.path(), &more) };
         assert!(super::all(&free).unwrap().iter().all(|job| !joined(job.command()).contains("downscale")));
-        // What is listed is that job alone, whichever others this command was given.
+        // The listed command runs that job alone, whatever other jobs this command was given.
         for job in &all {
             let words = std::iter::once("centaur".into()).chain(job.listed(&args));
             let Command::Bench(again_args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
@@ -546,7 +546,7 @@ mod tests {
             assert!(again_args.shares_machine() && !args.shares_machine());
         }
         all.iter().for_each(|job| job.check().unwrap());
-        // Shards are disjoint and together everything.
+        // Shards are disjoint, and together contain all jobs.
         let mut shared: Vec<String> = (0..5)
             .flat_map(|i| {
                 let args = Args { shard: Some(Shard { index: i, of: 5 }), ..*self::args(folder.path(), &more) };
@@ -582,7 +582,7 @@ mod tests {
         assert_eq!(words[at..at + 3], ["--downscale", "2", "--antialias"], "the command's replace those of the scene");
         assert_eq!((&all[1].capture, all[1].given().count()), (&folder.path().join("tandt/truck"), 1));
         all.iter().for_each(|job| job.check().unwrap());
-        // Results of them all are of one variant; once the list has other flags for a scene, its are not.
+        // The results of all jobs belong to one variant; once the list has other flags for a scene, its results do not.
         let mut records: Vec<Record> = (all.iter())
             .map(|job| Record { file: job.result.clone(), made: job.made(1), result: Value::Null })
             .collect();
@@ -604,7 +604,7 @@ mod tests {
         let both = error(r#"{"scenes": {"room": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
         let expected = "--protocol b: expected scenes.json without flags for the pictures of room, which it decides";
         assert_eq!(both, format!("{expected}, found `--downscale=2`"));
-        // As editors of Windows write it.
+        // With a byte order mark, as editors on Windows write it.
         write(&["\u{feff}", r#"{"scenes": {"a": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#].concat());
         assert_eq!(super::all(&args(folder.path(), &["--protocol", "b"])).unwrap()[0].scene_flags, ["--downscale=2"]);
     }

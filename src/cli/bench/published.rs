@@ -193,7 +193,7 @@ mod tests {
     fn five_scenes_of_tanks_and_temples_stand_beside_heras() {
         let of_masks = |names: &[&str], side: u64, masked: bool| {
             let scenes = names.iter().map(|name| (*name).to_owned()).collect();
-            // The larger three are scaled down by a flag of their own.
+            // The three larger scenes are downscaled by a per-scene flag.
             of(&scenes, None, names.len() > 2, masked, &BTreeSet::from([side])).map(|known| known.means.len())
         };
         let rows = |names: &[&str], side: u64| of_masks(names, side, false);

@@ -488,7 +488,8 @@ mod tests {
         assert!(!text.contains("HERA"), "{text}");
         assert_eq!(serde_json::to_value(table(&records)).unwrap()["variants"][1]["mean"]["psnr"], 29.0);
         assert!(!text.contains("inf:"), "{text}");
-        // A view that is its photograph has no number in JSON; what has none at all is another thing.
+        // A view equal to its photograph has an infinite PSNR, which is null in JSON; this differs from a missing
+        // value.
         let mut perfect = records.clone();
         perfect[0].result["evaluation"]["psnr"] = Value::Null;
         let perfect = table(&perfect).to_string();
@@ -500,7 +501,7 @@ mod tests {
         ] {
             assert!(perfect.contains(part), "{part}: {perfect}");
         }
-        // The mean of two scenes is nothing beside that of three.
+        // A mean over two scenes is not compared with a mean over three.
         records.push(record("b", "bonsai", 0, 99.0));
         let text = table(&records).to_string();
         assert!(
@@ -512,7 +513,7 @@ mod tests {
         assert!(!table(&records).to_string().contains("mean"), "nothing is common");
     }
 
-    /// One that asked for a mesh and has none says so in its notes alone.
+    /// A job that asked for a mesh and has none says so only in its notes.
     #[test]
     fn hybrids_have_triangles_and_trainings_their_say() {
         let mut records: Vec<Record> = ["garden", "room"].map(|scene| record("a", scene, 0, 26.0)).into();
@@ -538,7 +539,7 @@ mod tests {
         let json = serde_json::to_value(table(&records)).unwrap();
         assert_eq!(json["variants"][0]["rows"][1]["triangles"], 900.0);
         assert_eq!(json["variants"][0]["notes"][0]["scenes"], json!(["garden", "room"]));
-        // As many as one can read; of results of before there are none.
+        // The number of notes is limited to a readable one; results of older versions have none.
         records[1].result["notes"] = (0..30).map(|i| format!("note {i}")).collect();
         records[0].result["notes"] = Value::Null;
         let text = table(&records).to_string();
@@ -572,7 +573,7 @@ mod tests {
         assert!(alex.contains("| *HERA* | published | | 27.61 | 0.828 | | – | – | – |"), "{alex}");
         let mixed = with(&|i, r| r.result["evaluation"]["lpips"]["net"] = json!(if i == 4 { "alex" } else { "vgg" }));
         assert!(mixed.contains("| **a** | **mean** | 9 | 27.00 | 0.800 | – | – | – |"), "{mixed}");
-        // Jobs beside each other take each other's time.
+        // Jobs that run at the same time slow each other down.
         for at_a_time in [0, 2] {
             let crowded = with(&|_, r| r.made.at_a_time = at_a_time);
             assert!(b.contains("| 9.5 |") && !crowded.contains("| 9.5 |"), "{crowded}");
@@ -609,7 +610,8 @@ mod tests {
             rooms.contains("| *Brush* | published: nvs-bench, scenes not checked | | 29.85 | 0.911 | | – | – | – |"),
             "{rooms}"
         );
-        // Neither of a part, nor of more, nor of pictures of another size, nor where SSIM is another.
+        // No published rows for a subset or a superset of the scenes, for pictures of another size, or with another
+        // SSIM.
         let size = |flag: &'static str| move |r: &mut Record| r.made.flags.extend([flag.to_owned(), "2".to_owned()]);
         for other in [
             with(&["truck"], &|_| {}),
@@ -621,7 +623,7 @@ mod tests {
         ] {
             assert!(other.published.is_empty() && other.published_note.is_none(), "{other}");
         }
-        // One variant's size is enough: rows stand for all.
+        // One variant with the right size is enough: published rows apply to all variants.
         let mut records = vec![];
         for (variant, flag) in [("a", "--antialias"), ("b", "--images")] {
             records.extend(["train", "truck"].map(|scene| record(variant, scene, 0, 24.0)));
@@ -647,7 +649,7 @@ mod tests {
             "| a | demo | 1 | 25.00 |",
             "| a | cup, masked | 1 | 30.00 |",
             "| a | jar, partly masked | 1 | 28.00 |",
-            // What masks do not touch has a mean.
+            // A figure that masks do not affect, here the number of splats, has a mean.
             "| **a** | **mean, partly masked** | 3 | – | – | – | – | – | – | 1000 |",
             "\nMasked rows: photographs and renders are multiplied by masks",
         ] {
@@ -662,7 +664,7 @@ mod tests {
         assert!(demo.contains("| **a** | **mean** | 1 | 25.00 |") && !demo.contains("asked"), "{demo}");
     }
 
-    /// Of the photographs that others score, and of the same size.
+    /// Published rows are of unmasked photographs of the same size.
     #[test]
     fn scores_with_masks_meet_no_published_rows() {
         let with = |masked: bool| {
@@ -679,7 +681,7 @@ mod tests {
         assert_eq!((with(false), with(true)), (5, 0));
     }
 
-    /// As `fetch_captures.py tandt` lists them.
+    /// With the flags that `fetch_captures.py tandt` lists.
     #[test]
     fn scenes_have_flags_of_their_own() {
         let scenes = ["Barn", "Caterpillar", "Ignatius", "train", "truck"];
@@ -697,12 +699,12 @@ mod tests {
             five.to_string().contains("\nFlags of a for Barn, Caterpillar, Ignatius: `--downscale 2`.\n"),
             "{five}"
         );
-        // A variant with a size of its own leaves them out.
+        // A variant with a size of its own has no per-scene flags.
         let mut both = records.clone();
         both.extend(scenes.map(|scene| record("b", scene, 0, 24.0)));
         both.iter_mut().for_each(|r| r.made.protocol = None);
         assert_eq!(table(&both).variants.len(), 2);
-        // Theirs are smaller than what is distributed, so that no table of that stands beside them.
+        // Downscaled by per-scene flags, the pictures are smaller than those distributed, so no published row applies.
         records.retain(|r| r.made.scene.starts_with('t'));
         assert_eq!(table(&records).published.len(), 16);
         records[0].made.scene_flags = vec!["--downscale=2".to_owned()];

@@ -4,7 +4,7 @@ use super::*;
 use crate::cli::flag_tests::{Options, Row, assert_flags};
 use crate::cli::{Cli, Command};
 
-/// What `centaur cameras` is asked for by these words.
+/// Options of `centaur cameras` with these words.
 fn asked(kind: &str, flags: &str) -> Options {
     let words = ["centaur", "cameras", kind, "capture", "-o", "path.glb"].into_iter().chain(flags.split_whitespace());
     let Command::Cameras(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };

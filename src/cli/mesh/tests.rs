@@ -4,7 +4,7 @@ use clap::Parser as _;
 use crate::cli::flag_tests::{Options, Row, assert_flags};
 use crate::cli::{Cli, Command};
 
-/// What `centaur mesh` is asked for by these flags.
+/// Options of `centaur mesh` with these flags.
 fn asked(flags: &str) -> Options {
     let words = ["centaur", "mesh", "capture", "-o", "surface.glb"].into_iter().chain(flags.split_whitespace());
     let Command::Mesh(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };

@@ -530,14 +530,15 @@ mod tests {
     use super::*;
     use crate::cli::{Cli, Command};
 
-    /// By name, of the command with these flags.
+    /// Options by name, for the command with these flags.
     fn options(flags: &str) -> Map<String, Value> {
         let words = "centaur train capture -o scene.glb".split(' ').chain(flags.split_whitespace());
         let Command::Train(args) = Cli::try_parse_from(words).unwrap().command else { unreachable!() };
         serde_json::from_value(serde_json::to_value(args.options()).unwrap()).unwrap()
     }
 
-    /// Flags that say where files are, what of a capture is read, what the surface is made of and what is told, which are no options.
+    /// Flags that are not training options: file locations, which part of a capture is read, the source of the surface,
+    /// and messages.
     const OTHERS: [&str; 17] = [
         "output",
         "ply",

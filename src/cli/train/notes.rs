@@ -241,7 +241,7 @@ mod tests {
     use super::*;
     use crate::cli::{Cli, Command};
 
-    /// Cameras around an axis, each of which looks down on it by half a right angle.
+    /// Cameras around an axis, each looking down along it at 45°.
     fn around(up: DVec3) -> Vec<Camera> {
         let (x, y) = up.any_orthonormal_pair();
         let intrinsics = Intrinsics { width: 8, height: 6, fx: 8.0, fy: 8.0, cx: 4.0, cy: 3.0 };
@@ -259,7 +259,7 @@ mod tests {
     fn worlds_that_are_not_y_down_are_turned_upright() {
         let y_down: Axes = "y-down".parse().unwrap();
         for (axis, up, frame) in UPS {
-            // Also where it is not quite that axis.
+            // Also if the axis deviates a little.
             for up in [up, (up + 0.4 * DVec3::new(0.5, -0.3, -0.6)).normalize()] {
                 assert_eq!(up_of(&around(up)), Some((axis, frame)), "{up}");
             }
@@ -270,12 +270,12 @@ mod tests {
         for up in [DVec3::NEG_Y, DVec3::new(0.0, -leaning.cos(), leaning.sin())] {
             assert_eq!(up_of(&around(up)), None, "{up}");
         }
-        // One half of the views stands on its head.
+        // Half of the views is upside down.
         let turned = [around(DVec3::Z), around(DVec3::NEG_Z)].concat();
         assert_eq!((up_of(&turned), up_of(&[])), (None, None));
     }
 
-    /// That it is refused is tested where it is, of any adapter.
+    /// The refusal itself is tested elsewhere, for any adapter.
     #[test]
     fn what_is_too_large_for_the_adapter_comes_with_the_flags_that_make_it_smaller() {
         let words = ["centaur", "train", "capture", "-o", "scene.glb"];

@@ -30,7 +30,7 @@ fn the_script_is_told_of_every_part() {
     let (script, report) = written(&scene, &cameras);
     let told = told(&script);
     assert_eq!(told["splats"], "a_scene_splats.ply");
-    // Degrees 3 and 0.
+    // Number of maps for degrees 3 and 0.
     let counts: Vec<usize> =
         told["meshes"].as_array().unwrap().iter().map(|m| m["maps"].as_array().unwrap().len()).collect();
     assert_eq!(counts, [16, 1]);
@@ -84,8 +84,9 @@ fn what_cannot_be_written_is_an_error() {
     assert!(error.starts_with("/nowhere/"), "{error}");
 }
 
-/// A scene with a camera that keeps still and one that moves, written to a script: what that is told of motion, its notes, and the
-/// rows of cameras (frames, cameras, 12 numbers), if there are any. `change` changes the glTF that it is made of.
+/// Writes a scene with one resting and one moving camera to a script. Returns what the script is told of motion, the
+/// notes, and the rows of cameras (frames, cameras, 12 numbers), if any. `change` edits the glTF from which the scene
+/// is read.
 fn keyed(centers: &[DVec3], change: impl Fn(&mut Value)) -> (Value, Vec<String>, Option<Vec<f64>>) {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -134,7 +135,7 @@ fn cameras_that_move_have_keys() {
 
 #[test]
 fn a_camera_that_drops_out_leaves_all_still_and_is_noted() {
-    // Where it is at each frame also scales it, by as much along all axes in the first alone.
+    // The animated position is also used as a scale, which is uniform in the first frame only.
     let centers = [DVec3::new(1.0, -1.0, -1.0), DVec3::new(1.0, -2.0, -1.0), DVec3::new(3.0, 0.0, -2.0)];
     let (told, notes, rows) = keyed(&centers, |document| {
         let animation = &mut document["animations"][0];
@@ -158,7 +159,7 @@ fn what_is_refused_leaves_nothing_behind() {
     let cameras = [0.0, 1.0].map(|x| {
         (String::new(), Camera::new(*camera().intrinsics(), DMat3::IDENTITY, DVec3::new(x, 0.0, 0.0)).unwrap())
     });
-    // Frames of a long shot.
+    // Times of a shot with too many frames.
     let times = vec![0.0, 1e4];
     let path = CameraFile { cameras: cameras.into(), fps: Some(5.0), y_up: false, times, notes: vec![] };
     write_cameras_with_scene(&at("b.glb"), &at("a.glb"), &path).unwrap();

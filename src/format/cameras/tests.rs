@@ -10,7 +10,7 @@ use crate::format::{
 use crate::render::testing::largest;
 use crate::scene::Intrinsics;
 
-/// A path with turns, of which some pass half a turn of the quaternion.
+/// A camera path with rotations, some of which pass half a turn, where the sign of the quaternion flips.
 fn shot(frames: usize, zoom: f64) -> Vec<(String, Camera)> {
     let at = |i: usize| {
         let t = i as f64;
@@ -46,7 +46,7 @@ fn what_is_written_is_read() {
             assert_eq!(bytes, path.metadata().unwrap().len());
             let back = read(&path);
             assert_eq!((back.y_up, &back.notes[..]), (false, &[][..]), "{name}");
-            // One frame does not move.
+            // A single frame does not move, so USD stores no frame rate.
             let expected = (frames > 1 || name != "a.usda").then_some(fps);
             assert_eq!(back.fps, expected, "{name}");
             let found = largest_difference(&file.cameras, &back.cameras);
@@ -56,7 +56,7 @@ fn what_is_written_is_read() {
                 let faults = validate(&path).unwrap();
                 assert!(faults.findings.is_empty(), "{:?}", faults.findings);
             }
-            // Twice as many frames a second are twice as many, but for the last.
+            // Twice the frame rate gives twice as many frames, minus one at the end.
             let twice = read_cameras(&path, &Sampling { fps: Some(2.0 * fps), ..Sampling::default() }).unwrap();
             assert!(frames == 1 || twice.cameras.len() == 2 * frames - 1, "{name}: {}", twice.cameras.len());
         }
@@ -81,7 +81,7 @@ fn lenses_may_differ() {
         path
     };
     let (gltf, usd) = (read(&at("a.glb")), read(&at("a.usda")));
-    // glTF has no animation of lenses: a camera each.
+    // glTF cannot animate lenses: it gets one camera per frame.
     assert_eq!((gltf.fps, usd.fps), (None, Some(10.0)));
     assert!(largest_difference(&file.cameras, &gltf.cameras) < 1e-6);
     assert!(largest_difference(&file.cameras, &usd.cameras) < 1e-6);
@@ -112,7 +112,7 @@ fn frames_of_reference_are_kept_where_files_have_one() {
     write_cameras(&folder.path().join("model"), &file).unwrap();
     let back = capture::cameras(&folder.path().join("model"), &LoadOptions::default()).unwrap();
     assert!(!back.y_up && largest_difference(&there.cameras, &back.cameras) < 1e-12);
-    // Half a turn about x.
+    // The two frames differ by half a turn about x.
     let (p, q) = (file.cameras[2].1.center(), there.cameras[2].1.center());
     assert!((p.x - q.x).abs() < 1e-12 && (p.y + q.y).abs() < 1e-12 && (p.z + q.z).abs() < 1e-12);
 }
@@ -130,14 +130,14 @@ fn names_of_pictures_are_safe_and_unique() {
         ["", "_2"].map(|number| format!("{}{number}.png", "日".repeat(66))),
         "longer than files may be called"
     );
-    // As Blender calls copies: no suffixes.
+    // Numbers that Blender appends to copies are no file extensions.
     let found = names(&["Camera", "Camera.001", "Camera.001_00007", "Camera.002.jpeg"]);
     assert_eq!(found, ["Camera", "Camera.001", "Camera.001_00007", "Camera.002"].map(|stem| format!("{stem}.png")));
-    // Of devices of Windows.
+    // Reserved device names of Windows.
     let found = names(&["aux", "Nul.left.png", "com1", "com10", "console", "LPT9.1.jpg"]);
     let expected = ["_aux", "_Nul.left", "_com1", "com10", "console", "_LPT9.1"];
     assert_eq!(found, expected.map(|stem| format!("{stem}.png")));
-    // They are the names in files of cameras, unless all cameras have names of pictures.
+    // Camera files contain these names, unless all cameras already have names of pictures.
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (shot(1, 0.0)[0].1, shot(2, 0.0)[1].1);
     for (given, expected) in [
@@ -177,7 +177,7 @@ fn captures_are_neither_replaced_nor_hidden() {
         std::fs::create_dir_all(root.join(name).parent().unwrap()).unwrap();
         std::fs::write(root.join(name), text).unwrap();
     };
-    // Every place that a capture is found in.
+    // Every place in which a capture is found.
     for (capture, held) in [
         ("a/sparse/0/cameras.bin", "sparse"),
         ("b/sparse/cameras.txt", "sparse"),
@@ -193,12 +193,13 @@ fn captures_are_neither_replaced_nor_hidden() {
         assert_eq!(std::fs::read_to_string(root.join(capture)).unwrap(), "{}");
     }
     refused("f/transforms_train.json", "transforms_train.json");
-    // Photographs alone are what a model would be of; a file beside them hides nothing.
+    // A folder with photographs alone would become a capture if a COLMAP model were added; a single file beside them
+    // hides nothing.
     touch("h/images/a.png", "");
     refused("h", "images");
     write("h/transforms.json").unwrap();
     write("a/shot.json").unwrap();
-    // What we have written is written again, and nothing else is left.
+    // Files written by us can be overwritten, and no temporary files remain.
     for _ in 0..2 {
         write("new").unwrap();
         write("h/transforms.json").unwrap();
@@ -213,12 +214,12 @@ fn captures_are_neither_replaced_nor_hidden() {
     assert_eq!(listed("new/sparse/0"), ["cameras.txt", "images.txt", "points3D.txt"]);
     touch("new/sparse/0/points3D.txt", "1 0 0 0 9 9 9 0.1\n");
     refused("new", "sparse");
-    // Nor what others have put beside ours.
+    // Files of others beside ours are kept as well.
     write("other").unwrap();
     touch("other/sparse/0/cameras.bin", "theirs");
     refused("other", "sparse");
     assert_eq!(std::fs::read_to_string(root.join("other/sparse/0/cameras.bin")).unwrap(), "theirs");
-    // A capture is looked for in a folder of this name before it is in its own.
+    // Captures are also looked for in a subfolder of this name, before the folder itself.
     refused("e/colmap", "../transforms.json");
     refused("h/colmap", "../images");
     assert!(!root.join("h/colmap").exists());
@@ -242,7 +243,7 @@ fn shots_keep_their_times() {
             assert!(!differ && back.times.len() == file.times.len(), "{name}: {:?}", back.times);
             assert_eq!(validate(&path).map_or(0, |faults| faults.errors), 0, "{name}");
         }
-        // What is no time of a key is not written.
+        // Times that are not valid key times are not written.
         for times in [vec![-1.0; file.times.len()], vec![start; file.times.len()], vec![start]] {
             let path = folder.path().join("a.glb");
             write_cameras(&path, &CameraFile { times, ..file.clone() }).unwrap();
@@ -297,7 +298,7 @@ fn deep_cameras_have_a_limit() {
     assert_eq!(slow.cameras.len(), 120);
 }
 
-/// A glTF whose camera, node 1, is moved by `channels` of an animation of the accessors `floats` (type and values).
+/// A glTF whose camera nodes are moved by animation `channels`, with accessors made of `floats` (type and values).
 fn gltf_with(
     folder: &Path,
     floats: &[(&str, &[f32])],
@@ -336,7 +337,7 @@ const TURN: [f32; 8] = [0.0, 0.0, 0.0, 1.0, 0.0, std::f32::consts::FRAC_1_SQRT_2
 #[test]
 fn animations_of_gltf_are_followed_through_ancestors() {
     let folder = tempfile::tempdir().unwrap();
-    // Times, a quarter turn about y, scales, and x of 0 → 4 with tangents 2 and 0.
+    // Times, a quarter turn about y, scales, and x from 0 to 4 with tangents 2 and 0.
     let floats: [(&str, &[f32]); 5] = [
         ("SCALAR", &[1.0, 3.0]),
         ("VEC4", &TURN),
@@ -364,7 +365,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
         assert!(camera.center().abs_diff_eq(DVec3::new(x * cos, 0.0, -x * sin), 1e-6), "{i}: {}", camera.center());
         assert!(camera.rotation().row(2).abs_diff_eq(DVec3::new(-sin, 0.0, -cos), 1e-6), "{i}");
     }
-    // Its parent moves the other one too, so both are in the shot; 30 a second by default.
+    // Node 0 is the parent of both cameras, so both are in the shot, with 30 frames per second by default.
     let both = read_cameras(&path, &Sampling::default()).unwrap();
     assert_eq!((both.cameras.len(), both.fps), (2 * 61, Some(DEFAULT_FPS)));
     assert!(both.cameras[60].0 == "moving_00060" && both.cameras[61].0 == "resting_00000");
@@ -374,7 +375,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
         assert!(error.ends_with(&format!("expected a camera called {named}, found moving, resting")), "{error}");
     }
 
-    // All frames of a file count together, but for those of cameras that are not asked for.
+    // The limit applies to the frames of all selected cameras of a file together.
     let long: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 700.0]), ("VEC4", &TURN)];
     let (samplers, turn) = (json!([{ "input": 0, "output": 1 }]), json!([channel(0, 0, "rotation")]));
     let path = gltf_with(folder.path(), &long, &samplers, &turn);
@@ -387,7 +388,7 @@ fn animations_of_gltf_are_followed_through_ancestors() {
         assert_eq!(found.cameras.len(), 21001, "{only}");
     }
 
-    // Where one moves, those that rest are left out.
+    // If one camera moves, cameras at rest are left out.
     let alone = gltf_with(folder.path(), &floats, &cubic_samplers, &json!([channel(2, 1, "translation")]));
     let found = read_cameras(&alone, &sampling).unwrap();
     assert_eq!(found.cameras.len(), 5);
@@ -441,7 +442,7 @@ fn animations_that_are_none_are_refused() {
         let message = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
         assert!(message.ends_with(&format!("a.gltf: /animations/0/channels/0/{said}")), "{message}");
     }
-    // By its place in the file, before which there may be others that are none of the core.
+    // Channels are named by their index in the file, which counts channels that are not core glTF.
     let pointer = json!({ "path": "pointer", "extensions": { "KHR_animation_pointer": { "pointer": "/extras" } } });
     let channels = json!([
         { "sampler": 0, "target": pointer }, { "sampler": 0, "target": { "node": 1, "path": "scale" } },
@@ -455,7 +456,7 @@ fn animations_that_are_none_are_refused() {
     is(error(&[0.0, 1.0, 2.0], &TURN, 1.0), "/animations/0/channels/0: expected 3 times 4 numbers, found 8");
     is(error(&[0.0, 1.0], &[f32::NAN; 8], 1.0), "/accessors/1: expected finite numbers, found NaN");
     is(error(&[0.0, 1e9], &TURN, 1e9), "expected a shot of at most 36000 frames");
-    // A quaternion of zero turns nothing.
+    // A quaternion of zeros means no rotation.
     assert_eq!(error(&[0.0, 1.0], &[0.0; 8], 1.0).unwrap().cameras.len(), 2);
     let floats: [(&str, &[f32]); 2] = [("SCALAR", &[0.0, 1.0]), ("VEC3", &[1.0, 1.0, 1.0, 1.0, 2.0, 1.0])];
     let channels = json!([{ "sampler": 0, "target": { "node": 1, "path": "scale" } }]);
@@ -507,7 +508,7 @@ def Camera "resting" { }
             assert!((camera.intrinsics().fy / expected - 1.0).abs() < 1e-6, "{i}");
         }
     }
-    // What blends matrices would shrink the camera's axes.
+    // Matrices are not interpolated component-wise, which would shrink the camera's axes.
     let matrices = layer.replace("float xformOp:rotateZ.timeSamples = { 25: 90, 5: 0, }", "matrix4d xformOp:transform.timeSamples = {
         5: ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)), 25: ((0, 1, 0, 0), (-1, 0, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)) }")
         .replace("\"xformOp:rotateZ\"", "\"xformOp:transform\"");
@@ -519,7 +520,7 @@ def Camera "resting" { }
     let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
     assert!(error.contains("expected a shot of at most 36000 frames"), "{error}");
 
-    // All frames of a file count together, but for those of cameras that are not asked for.
+    // The limit applies to the frames of all selected cameras of a file together.
     let rig = layer.replace("25: 90", "25000: 90");
     let two = rig.replace("def Xform \"rig\" {", "def Xform \"rig\" {\n    def Camera \"other\" { }");
     std::fs::write(&path, two).unwrap();
@@ -530,7 +531,7 @@ def Camera "resting" { }
     );
     let found = read_cameras(&path, &Sampling { only: &["shot".to_owned()], ..Sampling::default() }).unwrap();
     assert_eq!(found.cameras.len(), 24996);
-    // Nor are steps without end: every frame takes those of all that is above.
+    // The number of transform steps is limited too: every frame applies those of all ancestors.
     let order = ["\"xformOp:rotateZ\""; 1000].join(", ");
     let level = |content: &str| {
         format!(
@@ -544,7 +545,7 @@ def Camera "resting" { }
     std::fs::write(&path, longer).unwrap();
     let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
     assert!(error.contains("/rig.xformOpOrder: expected at most 1000 operations, found 2000"), "{error}");
-    // What is left out is said where nothing else is found, whatever else there is to be noted.
+    // If no camera is found, the error names those left out, whatever other notes there are.
     let sheared = layer
         .replace("float xformOp:rotateZ", "float3 xformOp:scale = (1, 2, 3)\n    float xformOp:rotateZ")
         .replace("[\"xformOp:rotateZ\"]", "[\"xformOp:rotateZ\", \"xformOp:scale\"]")
@@ -577,12 +578,12 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     let cameras = [("front".to_owned(), camera())];
     write_scene(&at("ours.gltf"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
     let ours: serde_json::Value = serde_json::from_slice(&std::fs::read(at("ours.gltf")).unwrap()).unwrap();
-    // Without our mark the same data are another's, y up.
+    // Without our marker the same data belong to another program, in a y-up frame.
     let mut theirs = ours.clone();
     let root = ours["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
     theirs["nodes"][root]["name"] = json!("world");
     std::fs::write(at("theirs.gltf"), theirs.to_string()).unwrap();
-    // As a scene that was moved is written.
+    // The layout written for a transformed scene.
     let mut moved = ours.clone();
     let nodes = moved["nodes"].as_array_mut().unwrap();
     nodes.push(json!({ "name": "moved", "translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [2, 2, 2], "children": [root] }));
@@ -592,7 +593,7 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
         let before = read_file(&at(name), &ReadOptions::default()).unwrap();
         assert_eq!((before.y_up, before.cameras.len()), (y_up, 1), "{name}");
         let file = CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up, times: vec![], notes: vec![] };
-        // A path takes the place of the one before: another path, one whose lenses differ, fewer of these.
+        // A path replaces the previous one: by another path, by one with changing lenses, and by one with fewer frames.
         let paths = [shot(9, 0.0), shot(7, 0.0), shot(7, 1.5), shot(3, 1.5), shot(7, 0.0)];
         let mut from = at(name);
         for cameras in paths {
@@ -643,8 +644,8 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
     let document =
         |name: &str| -> serde_json::Value { serde_json::from_slice(&std::fs::read(at(name)).unwrap()).unwrap() };
     let mut changed = document("b.gltf");
-    // Another program moves our node as well, in an animation of its own and in one that moves more than this, and looks through our
-    // camera from elsewhere.
+    // Another program also animates our node, in an animation of its own and in one that moves further nodes, and uses
+    // our camera at a node of its own.
     let mut theirs = changed["animations"][0].clone();
     theirs.as_object_mut().unwrap().remove("extras");
     let node = theirs["channels"][0]["target"]["node"].clone();
@@ -669,7 +670,7 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
     assert_eq!(validate(&at("d.gltf")).unwrap().errors, 0);
     let only = Sampling { only: &[NAME.to_owned()], ..Sampling::default() };
     assert!(largest_difference(&file.cameras, &read_cameras(&at("d.gltf"), &only).unwrap().cameras) < 2e-5);
-    // What hangs on our node stays where that rests.
+    // Children of our node stay at its rest position.
     let mut hung = document("b.gltf");
     let nodes = hung["nodes"].as_array_mut().unwrap();
     let (path, light) = (node.as_u64().unwrap() as usize, nodes.len());
@@ -686,7 +687,7 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
         (json!({ "name": "light" }), 1)
     );
     assert_eq!(validate(&at("f.gltf")).unwrap().errors, 0);
-    // Without it there are those of the scene.
+    // Without the path, the cameras of the scene are left.
     let without = read_cameras(&at("b.gltf"), &Sampling { without_paths: true, ..Sampling::default() }).unwrap();
     let names: Vec<&str> = without.cameras.iter().map(|(name, _)| &name[..]).collect();
     assert_eq!((names, without.fps), (vec!["front"], None));

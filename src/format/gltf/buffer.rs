@@ -181,9 +181,9 @@ mod tests {
             File::options().write(true).open(&path).unwrap().set_modified(at(seconds)).unwrap();
         };
         let expected = format!("{}: it was changed while it was in use", path.display());
-        // Too long to be read at once.
+        // Too long to be read in one block.
         let long = |value: u8, more: usize| vec![value; BLOCK_BYTES + more];
-        // Shorter, longer, and as long as it was.
+        // Replaced by content that is shorter, longer, and of the same length.
         for bytes in [&[1, 2, 3][..], &long(0, 12), &long(2, 9)] {
             write(&long(1, 9), 100);
             let open = Buffer::open(&path).unwrap();
@@ -195,7 +195,7 @@ mod tests {
             let error = of_writing(FormatError::Write { file, source: error }).to_string();
             assert_eq!(error, expected.replace("b.bin: ", "b.bin: cannot read: "));
         }
-        // What takes its place is another file.
+        // A file that replaces it by renaming does not affect the open one.
         for bytes in [&long(1, 9)[..], &[1; 9]] {
             write(bytes, 100);
             let open = Buffer::open(&path).unwrap();

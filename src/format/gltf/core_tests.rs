@@ -1,4 +1,4 @@
-//! Core glTF of others, by hand: one small document per feature.
+//! Hand-written core glTF as other programs write it: one small document per feature.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use super::*;
 use crate::base64;
 use crate::format::{WriteOptions, read_file, read_scene, write_scene};
 
-/// A document whose accessors are made of the given arrays, one buffer view each.
+/// Builder of documents, which turns each array into an accessor with its own buffer view.
 #[derive(Default)]
 pub(super) struct Builder {
     pub(super) bytes: Vec<u8>,
@@ -45,7 +45,7 @@ impl Builder {
         self.bounded(index)
     }
 
-    /// POSITION must have bounds; that they are true is for validators.
+    /// Adds the bounds that POSITION must have; only validators check their values.
     fn bounded(&mut self, accessor: usize) -> usize {
         self.accessors[accessor]["min"] = json!([0, 0, 0]);
         self.accessors[accessor]["max"] = json!([1, 1, 1]);
@@ -58,7 +58,7 @@ impl Builder {
         index
     }
 
-    /// The file, with `rest` in place of what it has by default: one node with mesh 0.
+    /// Bytes of the file; `rest` replaces the default content, one node with mesh 0.
     pub(super) fn file(&self, rest: &Value) -> Vec<u8> {
         let text = format!("data:application/octet-stream;base64,{}", base64::encode(&self.bytes));
         let mut document = json!({
@@ -92,7 +92,7 @@ pub(super) fn near(found: &[f32], expected: &[f32], tolerance: f32) {
     assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= tolerance), "{found:?}, expected {expected:?}");
 }
 
-/// Theirs is y up, scenes are y down, and what is written of these stands upright again.
+/// Foreign files are y up and scenes y down; written again, they are upright.
 #[test]
 fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -111,7 +111,7 @@ fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
         assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
         let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
         assert_eq!(file.scene.meshes[0].positions(), expected);
-        // It looked along −z with y up; now that is z, with y down.
+        // The camera looked along −z with y up; in the scene it looks along z with y down.
         let camera = file.cameras[0].1;
         assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
         assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
@@ -123,7 +123,7 @@ fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
         write_scene(&at(name), &theirs.scene, &options).unwrap();
         check(&at(name), source.is_some());
     }
-    // Programs that do not know our root see it where theirs was.
+    // Programs that do not know our root node see the scene where the original was.
     let mut ours: Value = serde_json::from_slice(&std::fs::read(at("a.gltf")).unwrap()).unwrap();
     let root = ours["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
     ours["nodes"][root]["name"] = json!("world");
@@ -177,7 +177,7 @@ fn positions_in_every_component_type() {
     ];
     for (component, normalized, bytes, x) in cases {
         let mut b = Builder::default();
-        // Of three vertices the last is another first; elements of 3 or 6 bytes lie 4 or 8 apart.
+        // The third vertex equals the first; elements of 3 or 6 bytes have strides of 4 or 8.
         let size = bytes.len() / 2;
         let row = |r: &[u8]| {
             let mut r = r.to_vec();
@@ -217,7 +217,7 @@ fn sparse_elements_with_and_without_a_base() {
         let rest = |b: &Builder| b.read(json!({ "meshes": [{ "primitives": [{ "attributes": attributes }] }] }));
         let mesh = rest(&b).unwrap().scene.meshes.remove(0);
         assert_eq!(mesh.positions(), [Vec3::ZERO, Vec3::new(7.0, 8.0, 9.0), Vec3::new(4.0, 5.0, 6.0)]);
-        // Counts beyond the data are named, not reserved.
+        // Counts beyond the data are reported before memory is reserved.
         b.accessors[position]["sparse"]["count"] = json!(4_000_000_000u32);
         assert!(rest(&b).unwrap_err().contains("/sparse/count: expected 4000000000 elements"), "{:?}", rest(&b).err());
         b.accessors[position]["sparse"]["count"] = json!(2);
@@ -358,7 +358,7 @@ fn integers_may_be_written_as_other_numbers() {
         asset.and_then(|asset| read::scene(&asset)).map_err(|_| ()).unwrap().scene
     };
     assert_eq!(read(&other), read(&text));
-    // Of such accessors the validator sees what they hold.
+    // The validator also checks the content of such accessors.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.gltf");
     std::fs::write(&path, &other).unwrap();
@@ -411,7 +411,7 @@ fn what_leaves_the_base_colour_alone_may_be_required() {
     };
     let said = unshown.map(|name| format!("/extensionsRequired: {name} is not shown"));
     assert_eq!(read(&unshown)[..unshown.len()], said);
-    // These are shown.
+    // These extensions are supported.
     assert_eq!(read(&["KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness"]), read(&[]));
 }
 
@@ -422,21 +422,22 @@ fn skins_and_morph_targets_come_in_their_rest_pose() {
     let weights = [[1.0f32, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
     attributes["WEIGHTS_0"] = json!(b.floats(&weights));
     let delta = b.floats(&[[0.0f32, 0.0, 1.0]; 3]);
-    // Joint 0 was bound one unit along x; joint 1 at the origin.
+    // Joint 0 was bound one unit along x, joint 1 at the origin.
     let mut bind = glam::Mat4::IDENTITY;
     bind.w_axis.x = -1.0;
     let inverse = b.floats(&[bind.to_cols_array(), glam::Mat4::IDENTITY.to_cols_array()]);
     let document = json!({
         "meshes": [{ "primitives": [{ "attributes": attributes, "targets": [{ "POSITION": delta }] }], "weights": [0.25] }],
         "skins": [{ "joints": [1, 2], "inverseBindMatrices": inverse }],
-        // The node of a skinned mesh has no say.
+        // The transform of the node of a skinned mesh is ignored.
         "nodes": [
             { "mesh": 0, "skin": 0, "translation": [100, 100, 100], "children": [1, 2] },
             { "translation": [-100, -100, -100] }, { "translation": [-100, -98, -100] },
         ],
     });
     let mesh = b.read(document.clone()).unwrap().scene.meshes.remove(0);
-    // z by the target. x, y: vertex 0 of joint 0 at 0; vertex 1 of joint 1; vertex 2 halfway between both.
+    // z comes from the morph target. x, y: vertex 0 follows joint 0 at 0, vertex 1 follows joint 1, and vertex 2 is
+    // halfway between both.
     let expected = [Vec3::new(-1.0, 0.0, 0.25), Vec3::new(1.0, 2.0, 0.25), Vec3::new(-0.5, 2.0, 0.25)];
     assert_eq!(mesh.positions(), expected);
     let mut outside = document.clone();
@@ -469,7 +470,7 @@ fn meshes_of_one_material_become_one() {
     assert_eq!(mesh.positions()[4], Vec3::new(-2.0, 0.0, 0.0));
 }
 
-/// As many programs write the parts of a mesh that have materials of their own.
+/// Layout that many programs use for parts of a mesh with different materials.
 #[test]
 fn parts_that_share_vertices_have_those_that_they_use() {
     let mut b = Builder::default();
@@ -488,7 +489,7 @@ fn parts_that_share_vertices_have_those_that_they_use() {
     assert_eq!(first.positions(), [Vec3::ZERO, Vec3::X, Vec3::Y]);
     assert_eq!(second.positions(), [Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0)]);
     assert_eq!((second.triangles(), second.corner_uvs()[0]), (&[[2, 1, 0]][..], [Vec2::ONE, Vec2::Y, Vec2::X]));
-    // Alone, it keeps what the file has.
+    // A part alone keeps all vertices of the file.
     let [alone] = &meshes(&parts[1..])[..] else { panic!("one mesh") };
     assert_eq!((alone.positions().len(), alone.triangles()), (5, &[[4, 2, 1]][..]));
 }
@@ -507,7 +508,7 @@ fn repeated_use_of_a_mesh_is_bounded() {
     assert!(message.contains("bytes of arrays from a file of this size, found more, by repeated use"), "{message}");
 }
 
-/// Primitives of a mesh at many nodes are many more than the file has of either.
+/// The product of nodes and primitives can be much larger than either number in the file.
 #[test]
 fn primitives_at_many_nodes_say_the_same_once() {
     let (b, attributes) = triangle();
@@ -582,7 +583,8 @@ fn cameras_with_and_without_perspective() {
     assert!(file.notes.iter().any(|n| n.contains("camera left out: it is orthographic")), "{:?}", file.notes);
 }
 
-/// The near plane of a hybrid is asked of all cameras; `gltf` panics over one that is not what it says.
+/// For a hybrid scene the near plane is read from all cameras; the crate `gltf` panics on a camera that lacks the data
+/// of its type.
 #[test]
 fn a_camera_without_what_its_type_names_is_left_out() {
     let (b, attributes) = triangle();

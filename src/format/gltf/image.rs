@@ -126,7 +126,7 @@ mod tests {
     use super::*;
     use crate::format::test_scenes::black_png;
 
-    /// One bit a pixel, and deflate a thousandth of those.
+    /// One bit per pixel, compressed by deflate to a thousandth.
     #[test]
     fn images_of_one_colour_are_short() {
         let folder = tempfile::tempdir().unwrap();
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn what_an_image_may_unpack_to_is_limited() {
-        // 33 MB of rows in some 30 kB would be 4 GB of floats.
+        // About 30 kB that decompress to 33 MB of rows would need 4 GB of floats.
         let (expected, found) = decode(black_png(16384, 16384)).err().unwrap();
         assert!(expected.starts_with("maps of at most ") && found == "4294967296 bytes", "{expected}, {found}");
     }

@@ -1,4 +1,4 @@
-//! Copies of meshes and splats at one node.
+//! Instances of meshes and splats at one node.
 
 use glam::Vec3;
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ fn copied(attributes: &Value) -> Value {
     json!({ INSTANCING: { "attributes": attributes } })
 }
 
-/// Three copies of a triangle at a node that shifts and doubles: shifted, turned and stretched, mirrored.
+/// Three instances of a triangle at a node that shifts and doubles: shifted; rotated and stretched; mirrored.
 fn three() -> (Builder, Value) {
     let (mut b, attributes) = triangle();
     let copies = copied(&json!({
@@ -60,7 +60,7 @@ fn copies_are_below_their_node() {
     near(bytemuck::cast_slice(&corners), expected.as_flattened(), 1e-5);
     assert_eq!((imported.corner_uvs.as_ref().map(Vec::len), imported.notes.len()), (Some(3), 0));
 
-    // The declared box is from 0 to 1 along all axes.
+    // The declared bounding box is from 0 to 1 along all axes.
     let asset = Asset::open(&path).unwrap();
     let [low, high] = describe(&asset).map_err(|_| ()).unwrap().nodes[0].bounds.unwrap();
     near(&[low[0] as f32, high[0] as f32], &[8.0, 14.0], 1e-5);
@@ -68,7 +68,7 @@ fn copies_are_below_their_node() {
     assert!(!findings.iter().any(|finding| finding.to_string().contains(INSTANCING)), "{findings:?}");
 }
 
-/// Their colours are a map on which a mirrored triangle's corners have changed places, too.
+/// Vertex colours become a map in which the corners of a mirrored triangle are swapped too.
 #[test]
 fn copies_with_colours_of_vertices_are_one_mesh() {
     let (mut b, mut document) = three();

@@ -1,4 +1,4 @@
-//! What materials become: maps of ours, pictures, factors, emission and colours of vertices.
+//! Conversion of materials: our maps, textures, factors, emission and vertex colours.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::format::map_budget::{self, MapBudget};
 use crate::format::test_scenes::black_png;
 use crate::scene::{ColorSpace, Mesh, sh};
 
-/// Colour and opacity that a texel shows.
+/// Colour and opacity of a texel.
 fn shown(mesh: &Mesh, texel: usize) -> [f32; 4] {
     let t = &mesh.atlas().base().texels()[4 * texel..];
     let [r, g, b] = sh::rgb_from_dc([t[0], t[1], t[2]]);
@@ -64,12 +64,12 @@ fn texel_sources_are_transformed_and_repeat() {
     let read = file(source(&moved), source(&moved), clamped.clone()).unwrap();
     let mesh = &read.scene.meshes[0];
     near(&mesh.atlas().base().texels()[..3], &[0.0, 64.0 / 255.0, 128.0 / 255.0], 1e-6);
-    // Scaled to (2u, v/2), turned to (v/2, −2u), moved: as the extension multiplies.
+    // Scaled to (2u, v/2), rotated to (v/2, −2u), then moved: the order of KHR_texture_transform.
     let at = |[u, v]: [f32; 2]| [0.5 + 0.5 * v, 0.25 - 2.0 * u];
     for (uv, corner) in UVS.iter().zip(&mesh.corner_uvs()[0]) {
         near(&corner.to_array(), &at(*uv), 1e-6);
     }
-    // −1.75 to 0.25 in v are three tiles, 0.5 to 1 in u one; the bands are repeated like the base.
+    // −1.75 to 0.25 in v are three tiles, 0.5 to 1 in u is one; the bands are repeated like the base.
     let read = file(source(&moved), source(&moved), json!({})).unwrap();
     let mesh = &read.scene.meshes[0];
     let bands = mesh.atlas().bands().unwrap();
@@ -78,7 +78,8 @@ fn texel_sources_are_transformed_and_repeat() {
         let [u, v] = at(*uv);
         near(&corner.to_array(), &[u, (v + 2.0) / 3.0], 1e-6);
     }
-    // So they are where a node puts them, and turned with it: what was seen along x is seen along y.
+    // UVs and texels do not depend on the node, and SH bands rotate with it: the radiance seen along x is now seen
+    // along y.
     let shifted = placed(json!({ "mesh": 0, "translation": [1, 2, 3] }), source(&moved), source(&moved), json!({}));
     let shifted = shifted.unwrap().scene.meshes.remove(0);
     assert_eq!((shifted.corner_uvs(), shifted.atlas()), (mesh.corner_uvs(), mesh.atlas()));
@@ -94,7 +95,7 @@ fn texel_sources_are_transformed_and_repeat() {
         let [before, after] = [along(mesh, &x, texel), along(&turned, &y, texel)];
         assert!((before - after).abs() < 1e-6, "{texel}: {before} {after}");
     }
-    // Every map of a material lies where coefficient 0 does.
+    // All maps of a material must have the transform of coefficient 0.
     let other = file(source(&json!({ "offset": [0.5, 0.25] })), source(&moved), clamped.clone()).unwrap_err();
     assert!(other.contains("hybrid/opacity: expected the KHR_texture_transform of coefficient 0, found"), "{other}");
     let plain = json!({ "accessor": accessor, "width": 2, "height": 2 });
@@ -153,7 +154,8 @@ fn what_is_cut_out_of_the_one_layer_is_noted() {
     }
 }
 
-/// Core glTF gives the transform of a skinned mesh's own node no effect; what takes a scene to its frame has one.
+/// In core glTF the transform of a skinned mesh's own node is ignored; the transform from scene to capture frame is
+/// not.
 #[test]
 fn what_is_seen_of_a_skinned_mesh_does_not_turn_with_its_node() {
     let (mut b, mut attributes) = triangle();
@@ -175,14 +177,14 @@ fn what_is_seen_of_a_skinned_mesh_does_not_turn_with_its_node() {
     };
     let stored = [0.2, -0.2, 0.5, 0.3, -0.3, 0.5, 0.4, -0.4, 0.5];
     near(&bands(json!({ "children": [0, 1], "rotation": [0, 1, 0, 0] })), &stored, 1e-6);
-    // Of y, z and x the first two point the other way in the frame of a capture.
+    // Of the components y, z and x, the first two are negated in the frame of captures.
     let turned = [-0.2, 0.2, -0.5, -0.3, 0.3, -0.5, 0.4, -0.4, 0.5];
     let ours =
         json!({ "children": [0, 1], "rotation": [1, 0, 0, 0], "name": "centaur_world", "extras": { "centaur": {} } });
     near(&bands(ours), &turned, 1e-6);
 }
 
-/// One picture may stand for all coefficients, each of which takes as much as it does.
+/// One picture can serve as all coefficients, and counts once for each.
 #[test]
 fn maps_are_counted_coefficient_by_coefficient() {
     let (mut b, attributes) = triangle();
@@ -239,12 +241,12 @@ fn pictures_of_the_core_that_cannot_be_had_are_left_out() {
         let file = file.unwrap();
         let said = format!("/materials/0/pbrMetallicRoughness/baseColorTexture is left out: {reason}");
         assert!(file.notes.len() == 1 && file.notes[0].starts_with(&said), "{:?}", file.notes);
-        // Half the light is 0.735 in sRGB.
+        // Half the linear light is 0.735 in sRGB.
         near(&shown(&file.scene.meshes[0], 0), &[0.735_357, 1.0, 1.0, 1.0], 1e-5);
     }
 }
 
-/// A PNG whose texel (x, y) is this.
+/// A PNG with the value `texel(x, y)` at each texel.
 fn png_of(width: u32, height: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<u8> {
     let mut png = std::io::Cursor::new(vec![]);
     ::image::RgbaImage::from_fn(width, height, |x, y| ::image::Rgba(texel(x, y)))
@@ -262,7 +264,7 @@ fn pictured(b: &Builder, view: usize, primitives: &[Value], material: &Value, sa
     file.unwrap()
 }
 
-/// As mips and the filter make it.
+/// Mip levels and filters weight colours by opacity.
 #[test]
 fn a_clear_texel_does_not_erase_three_opaque_ones() {
     let mean = |file: Content| {
@@ -289,7 +291,7 @@ fn a_clear_texel_does_not_erase_three_opaque_ones() {
     assert!(found >= 0.5, "of the extension: {found}");
 }
 
-/// As files from before the core had settled its materials have it.
+/// `KHR_materials_pbrSpecularGlossiness`, as in files older than the core's metallic-roughness materials.
 #[test]
 fn diffuse_colours_take_the_place_of_base_colours() {
     let (mut b, mut attributes) = triangle();
@@ -312,7 +314,7 @@ fn diffuse_colours_take_the_place_of_base_colours() {
     };
     let both = json!({ "diffuseFactor": [0.5, 1, 1, 0.5], "diffuseTexture": texture(0), "glossinessFactor": 0 });
     let (colour, uvs, notes) = read(both, json!([1, 1, 1]));
-    // Half the light is 0.735 in sRGB.
+    // Half the linear light is 0.735 in sRGB.
     near(&colour, &[0.735_357, 0.2, 0.0, 64.0 / 255.0], 1e-5);
     assert_eq!(uvs, UVS.map(|uv| Vec2::from(uv) / 2.0 + Vec2::new(0.25, 0.0)));
     assert_eq!(notes, ["/materials/0: only its diffuse colour is shown, unlit"]);
@@ -332,7 +334,7 @@ fn diffuse_colours_take_the_place_of_base_colours() {
 fn what_repeats_too_often_repeats_at_a_lower_resolution() {
     let (mut b, attributes) = triangle();
     let view = b.view(&png_of(4, 2, |x, y| if x < 2 { [(100 * y) as u8, 0, 0, 255] } else { [0, 0, 200, 255] }));
-    // 20,000 texels side by side are more than a texture may have.
+    // 20,000 texels in a row are more than a texture may have.
     let transform = json!({ "KHR_texture_transform": { "scale": [5000, 1] } });
     let material = json!({
         "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "extensions": transform } },
@@ -367,10 +369,10 @@ fn one_colour_of_all_vertices_is_a_factor_of_a_texture() {
     });
     let file = pictured(&b, view, &[tinted.clone(), white, tinted], &material, &json!({}));
     assert!(file.notes.is_empty(), "{:?}", file.notes);
-    // Those of one colour are one mesh.
+    // Triangles of one colour share a mesh.
     let [tinted, plain] = &file.scene.meshes[..] else { panic!("{}", file.scene.meshes.len()) };
     assert_eq!([tinted, plain].map(|mesh| mesh.triangles().len()), [2, 1]);
-    // Half the light is 0.735 in sRGB.
+    // Half the linear light is 0.735 in sRGB.
     near(&shown(tinted, 0), &[0.735_357, 0.2, 0.0, 64.0 / 255.0], 1e-5);
     near(&shown(tinted, 1), &[0.735_357, 0.2, 0.0, 0.0], 1e-5);
     near(&shown(plain, 0), &[1.0, 0.2, 0.0, 128.0 / 255.0], 1e-5);
@@ -395,7 +397,7 @@ fn samplers_of_sharp_texels_are_noted() {
     for linear in [json!({}), json!({ "magFilter": 9729, "minFilter": 9984 })] {
         assert!(pictured(&b, view, &primitives, &unlit, &linear).notes.is_empty());
     }
-    // What it emits and what covers it are one picture.
+    // One picture serves as emission and as opacity.
     let glowing = json!({
         "alphaMode": "BLEND", "doubleSided": true, "emissiveFactor": [1, 1, 1], "emissiveTexture": { "index": 0 },
         "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "baseColorFactor": [0, 0, 0, 1] },
@@ -406,7 +408,7 @@ fn samplers_of_sharp_texels_are_noted() {
 
 #[test]
 fn texture_coordinates_are_transformed() {
-    // The lower left quarter of the picture, turned (the example of the extension's text).
+    // The lower left quarter of the picture, rotated (the example in the extension's specification).
     let transform =
         json!({ "offset": [0, 1], "rotation": std::f64::consts::FRAC_PI_2, "scale": [0.5, 0.5], "texCoord": 1 });
     let (mut b, mut attributes) = triangle();
@@ -440,11 +442,11 @@ fn texture_coordinates_are_transformed() {
     near(&read(json!({ "alphaMode": "MASK" })), &[1.0, 0.0, 0.0, 1.0], 1e-6);
     near(&read(json!({ "alphaMode": "MASK", "alphaCutoff": 0.6 })), &[1.0, 0.0, 0.0, 0.0], 1e-6);
     let factor = json!({ "alphaMode": "BLEND", "pbrMetallicRoughness": { "baseColorFactor": [0.5, 1, 1, 0.5] } });
-    // Half the light is 0.735 in sRGB.
+    // Half the linear light is 0.735 in sRGB.
     near(&read(factor), &[0.735_357, 0.0, 0.0, 0.5 * half], 1e-5);
 }
 
-/// Behind a cut-out there is more.
+/// Surfaces with transparency or cut-outs need several layers.
 #[test]
 fn what_is_behind_clear_surfaces_is_shown_where_nothing_says_how() {
     let (b, attributes) = triangle();
@@ -461,7 +463,7 @@ fn what_is_behind_clear_surfaces_is_shown_where_nothing_says_how() {
     }
 }
 
-/// As where many parts of a model are cut from one sheet.
+/// As in models whose parts share one texture sheet.
 #[test]
 fn materials_of_one_picture_share_their_map() {
     let (mut b, attributes) = triangle();
@@ -506,7 +508,8 @@ fn unlit_materials_are_taken_over_without_a_note() {
     assert_eq!(b.read(document(json!({}))).unwrap().notes, ["/materials/0: only its base colour is shown, unlit"]);
 }
 
-/// As Blender writes a picture that is plugged into the emission, and a lamp; what has a picture of its own is shown by that.
+/// As written by Blender for a picture that is connected to the emission, and for a lamp; a material with a base colour
+/// picture is shown by that.
 #[test]
 fn emission_is_shown_where_there_is_nothing_else() {
     let (mut b, mut attributes) = triangle();
@@ -529,7 +532,7 @@ fn emission_is_shown_where_there_is_nothing_else() {
         "emissiveTexture": { "index": 0 }, "emissiveFactor": [0.5, 1, 1], "alphaMode": "BLEND", "doubleSided": true,
         "pbrMetallicRoughness": { "baseColorFactor": [1, 1, 1, 0.25] },
     }));
-    // Half the light is 0.735 in sRGB.
+    // Half the linear light is 0.735 in sRGB.
     near(&color, &[0.735_357, 0.2, 0.0, 0.25], 1e-5);
     assert_eq!(notes, ["/materials/0: only its emission is shown, unlit"]);
     let black = json!({ "baseColorFactor": [0, 0, 0, 1] });
@@ -575,7 +578,7 @@ fn colours_of_vertices_become_a_map() {
         let texel = (*uv * Vec2::new(width, mesh.atlas().base().height() as f32)).floor();
         near(&shown(mesh, (texel.y * width + texel.x) as usize), &colour, 1e-6);
     }
-    // One colour needs no map.
+    // A single colour needs no map.
     b.bytes.truncate(b.bytes.len() - 12);
     b.bytes.extend([255, 255, 255, 51].repeat(3));
     let file = read(&b).unwrap();

@@ -296,7 +296,7 @@ mod tests {
 
     #[test]
     fn views_of_the_same_bytes_are_bounded_together() {
-        // Nearly as short as it may be: all vertices are alike.
+        // Almost as short as possible: all vertices are equal.
         let stored = encode_vertex_buffer(&vec![[0u8; 4]; 1 << 16]).unwrap();
         let compressed = json!({
             "buffer": 0, "byteLength": stored.len(), "byteStride": 4, "count": 1 << 16, "mode": "ATTRIBUTES",

@@ -1,4 +1,4 @@
-//! Documents that move, beside what glTF's formulas give by hand.
+//! Animated documents, compared with results of glTF's formulas computed by hand.
 
 use glam::{DMat3, DQuat, DVec3, Mat4, Quat, Vec3};
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ use crate::edit::Similarity;
 use crate::format::test_scenes::black_png;
 use crate::format::{SceneFile, WriteOptions, inspect, read_file, read_scene, write_scene};
 
-/// A file on disk, as everything here is read by path.
+/// A file on disk: everything here is read by path.
 struct File {
     _folder: tempfile::TempDir,
     path: std::path::PathBuf,
@@ -25,12 +25,12 @@ impl File {
         Self { _folder: folder, path }
     }
 
-    /// As it rests, in the frame of the document.
+    /// The rest pose, in the frame of the document.
     fn rest(&self) -> SceneFile {
         as_stored(&self.path, &ReadOptions::default())
     }
 
-    /// Read at a time, which must be what the source of the scene at rest says as well.
+    /// The scene read at a time, which must equal what the source of the rest pose gives for that time.
     #[track_caller]
     fn at(&self, time: f64) -> SceneFile {
         let posed = as_stored(&self.path, &ReadOptions { time: Some(time), ..ReadOptions::default() });
@@ -75,7 +75,7 @@ fn nodes_carry_meshes_by_every_interpolation() {
     let slide = b.floats(&[[0.0f32, 0.0, 0.0], [2.0, 0.0, 0.0]]);
     let half = std::f32::consts::FRAC_1_SQRT_2;
     let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
-    // Cubic: tangents 0, so that u = 1/4 gives 3u² − 2u³ = 5/32 of the way from 1 to 2.
+    // Cubic interpolation: with tangents 0, u = 1/4 gives 3u² − 2u³ = 5/32 of the way from 1 to 2.
     let grow = b.floats(&[[0.0f32; 3], [1.0; 3], [0.0; 3], [0.0; 3], [2.0; 3], [0.0; 3]]);
     let clip = animation(
         &mut b,
@@ -95,7 +95,7 @@ fn nodes_carry_meshes_by_every_interpolation() {
     file.positions(-1.0, &corners);
     let s = 1.0 + 5.0 / 32.0;
     file.positions(1.0, &[[0.0; 3], [s, 0.0, 0.0], [0.0, s, 0.0]]);
-    // At 2 s: 1.5 times as large, shifted by 1, then turned by a quarter: (x, y) to (−y, x).
+    // At 2 s: scaled by 1.5, shifted by 1, then rotated by a quarter turn: (x, y) to (−y, x).
     file.positions(2.0, &[[0.0, 1.0, 0.0], [0.0, 2.5, 0.0], [-1.5, 1.0, 0.0]]);
     file.positions(9.0, &[[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [-2.0, 2.0, 0.0]]);
     assert!(file.rest().source.unwrap().moves());
@@ -108,7 +108,7 @@ fn nodes_carry_meshes_by_every_interpolation() {
     assert!(summary.to_string().contains("├ animation: nod, 4.000 s, 3 channels"), "{summary}");
 }
 
-/// Rigid parts of one texture, each a mesh of its own, take its texels once.
+/// Rigid parts with one texture, each a mesh of its own, share its texels.
 #[test]
 fn what_moves_shares_its_maps() {
     let (mut b, attributes) = triangle();
@@ -164,15 +164,15 @@ fn weights_and_joints_move_a_skin() {
     let file = File::new(&b, &document);
     let rest = [[-1.0, 0.0, 0.25], [1.0, 2.0, 0.25], [-0.5, 2.0, 0.25]];
     near(bytemuck::cast_slice(file.rest().scene.meshes[0].positions()), rest.as_flattened(), 0.0);
-    // 0.5 s: weights (0.5, 0.25), joint 1 turned by 45°. Vertex 1 (1, 0, ½) turns to (h, h, ½), and up by 2; vertex 2
-    // (¼, 1, ½) is at (−¾, 1, ½) by joint 0, and at (h/4 − h, h/4 + h + 2, ½) by joint 1.
+    // At 0.5 s the weights are (0.5, 0.25), and joint 1 is rotated by 45°. Vertex 1 (1, 0, ½) rotates to (h, h, ½), and
+    // moves up by 2; vertex 2 (¼, 1, ½) is at (−¾, 1, ½) by joint 0, and at (h/4 − h, h/4 + h + 2, ½) by joint 1.
     let h = half;
     let expected = [[-1.0, 0.0, 0.5], [h, h + 2.0, 0.5], [(-0.75 - 0.75 * h) / 2.0, (3.0 + 1.25 * h) / 2.0, 0.5]];
     file.positions(0.5, &expected);
     file.positions(1.5, &[[-1.0, 0.0, 1.0], [0.0, 3.0, 1.0], [(-0.5 - 1.0) / 2.0, (1.0 + 2.5) / 2.0, 1.0]]);
 }
 
-/// Also where vertices have no weight.
+/// Also if vertices have no weight.
 #[test]
 fn joints_that_are_invisible_carry_what_is_not() {
     let (mut b, mut attributes) = triangle();
@@ -221,7 +221,7 @@ fn translations_of_the_extension_come_after_morph_targets() {
         });
         let file = File::new(&b, &document);
         assert_eq!(file.rest().source.unwrap().range(), [0.0, 3.0]);
-        // Nothing is played: the time is 0.
+        // No animation is played: the time is 0.
         assert_eq!(file.rest().scene.meshes[0].positions()[0], Vec3::new(0.0, 0.0, 5.0));
         let (a, b) = (file.at(1.0).scene, file.at(1.5).scene);
         assert_eq!(a.meshes[0].positions()[1], Vec3::new(2.0, 0.0, 0.0));
@@ -230,11 +230,12 @@ fn translations_of_the_extension_come_after_morph_targets() {
     }
 }
 
-/// Accessors of every document of [`bound`] that a binding may not have: a VEC3 of integers, a VEC4 of length ½.
+/// Accessors in every document of [`bound`] that are invalid in a binding: a VEC3 of integers, and a VEC4 of length ½.
 const INTEGERS: usize = 2;
 const HALF: usize = 3;
 
-/// Two splats on a triangle that turns and one that hangs on a node of its own; `harmonics` is the frame of the bound ones.
+/// A splat on a triangle that rotates, and a splat at a node of its own; `harmonics` is the SH frame of the bound
+/// splat.
 fn bound(harmonics: &str, damage: impl Fn(&mut Value)) -> File {
     let (mut b, attributes) = triangle();
     let unfit = [b.accessor(5123, "VEC3", 1, &[0; 8]), b.floats(&[[0.0f32, 0.0, 0.0, 0.5]])];
@@ -256,10 +257,10 @@ fn bound(harmonics: &str, damage: impl Fn(&mut Value)) -> File {
         }
         splats
     };
-    // Frame of the triangle: columns x, z, −y, k = 1, c = (1/3, 1/3, 0). The splat is 0.5 above it.
+    // The triangle's frame has the columns x, z, −y, k = 1 and c = (1/3, 1/3, 0). The splat is 0.5 above it.
     let attached = splats(&[[1.0 / 3.0, 1.0 / 3.0, 0.5]]);
     let free = splats(&[[1.0, 0.0, 0.0]]);
-    // Its axes in that frame: q(R)⁻¹, a quarter turn about x.
+    // Orientation of the splat in that frame: q(R)⁻¹, a quarter turn about x.
     let binding = json!({
         "node": 0, "triangleCount": 1,
         "geometryDigest": geometry_digest(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
@@ -299,17 +300,17 @@ fn splats_follow_their_triangle_or_their_node() {
         let file = bound(harmonics, |_| ());
         let rest = file.rest();
         assert!(!rest.notes.iter().any(|note| note.contains("binding")), "{:?}", rest.notes);
-        // Where nothing has moved yet every bit is as it was.
+        // Before anything has moved the scene is bit-identical.
         assert_eq!(file.at(0.0).scene, rest.scene);
         let posed = file.at(1.0).scene.splats;
-        // Turned by a quarter about z: the triangle's centre is at (−1/3, 1/3), and the splat above it.
+        // After a quarter turn about z the triangle's centre is at (−1/3, 1/3), with the splat above it.
         near(&posed.means()[0].to_array(), &[-1.0 / 3.0, 1.0 / 3.0, 0.5], 1e-6);
         near(&posed.means()[1].to_array(), &[1.0, 0.0, 2.0], 1e-6);
         let expected = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2).as_quat();
         assert!(posed.rotations()[0].dot(expected).abs() > 1.0 - 1e-6, "{}", posed.rotations()[0]);
         assert_eq!(posed.rotations()[1], Quat::IDENTITY);
         near(&posed.log_scales()[0].to_array(), &rest.scene.splats.log_scales()[0].to_array(), 1e-6);
-        // Band 1 is y, z, x with factors −, +, −: turned by a quarter, what pointed along x points along y.
+        // Band 1 is y, z, x with factors −, +, −: after a quarter turn the x component has become the y component.
         let [y, z, x] = [1, 2, 3].map(|k| rest.scene.splats.sh_of(0)[k]);
         let found = posed.sh_of(0);
         let expected = if turns { [x, z, y.map(|v| -v)] } else { [y, z, x] };
@@ -343,7 +344,7 @@ fn bindings_that_do_not_hold_are_ignored_and_said() {
     assert!(with("translations", json!(INTEGERS)).contains("expected translations of Float, found U16"));
     let said = with("rotations", json!(HALF));
     assert!(said.contains("expected rotations of length 1, found length 0.5000 of element 0"), "{said}");
-    // One triangle, too, with the same digest.
+    // A triangle strip of one triangle, with the same digest.
     let strip = bound("node", |document| document["meshes"][0]["primitives"][0]["mode"] = json!(5)).rest();
     let said = "expected triangles at node 0, primitive 0, of mode 4, found none in the scene";
     assert!(strip.notes.iter().any(|note| note.ends_with(said)), "{:?}", strip.notes);
@@ -395,7 +396,7 @@ fn what_is_stopped_has_its_cameras_where_they_are() {
 #[test]
 fn bones_are_of_what_moves_and_have_the_names_of_nodes() {
     let file = bound("node", |document| {
-        // The second splat keeps still, and so does another triangle.
+        // The second splat does not move, and neither does another triangle.
         document["animations"][0]["channels"].as_array_mut().unwrap().pop();
         document["nodes"].as_array_mut().unwrap().push(json!({ "mesh": 0, "name": "still" }));
         document["scenes"][0]["nodes"] = json!([3, 0, 1, 2]);
@@ -405,7 +406,7 @@ fn bones_are_of_what_moves_and_have_the_names_of_nodes() {
     let source = rest.source.unwrap();
     let (moving, _) = source.moving(&rest.scene).unwrap();
     let rig = moving.rig().unwrap();
-    // That of the triangle, and that of the splats, with whose frame their harmonics would turn.
+    // The bone of the triangle, and the bone of the splats, with whose frame their harmonics would rotate.
     assert_eq!(rig.bone_names(), ["arm", "node 1"]);
     assert_eq!((rig.attached().len(), rig.rest().weights.len()), (1, 0));
     file.at(1.0);
@@ -423,7 +424,7 @@ fn joints_end_where_the_scene_ends() {
         "meshes": [{ "primitives": [{ "attributes": attributes }] }],
         "skins": [{ "joints": [1, 2] }],
         "scenes": [{ "nodes": [0] }],
-        // Nodes 3 and 4 are in no scene, and each below the other.
+        // Nodes 3 and 4 are in no scene, and each is a child of the other.
         "nodes": [{ "mesh": 0, "skin": 0, "children": [1] }, { "children": [2] }, {}, { "children": [0, 4] }, { "children": [3] }],
         "animations": [clip],
     });
@@ -437,7 +438,7 @@ fn joints_end_where_the_scene_ends() {
 fn bindings_are_read_where_the_triangle_keeps_still() {
     let still = |damage: &dyn Fn(&mut Value)| {
         bound("node", |document| {
-            // Node 1, that of the splats, turns instead of the triangle.
+            // Node 1, which holds the splats, rotates instead of the triangle.
             document["animations"][0]["channels"][0]["target"]["node"] = json!(1);
             damage(document);
         })
@@ -467,7 +468,7 @@ fn animations_that_are_broken_are_left_out_unless_a_time_is_asked_for() {
         let options = ReadOptions { time: Some(0.5), ..ReadOptions::default() };
         let error = read_file(&file.path, &options).unwrap_err().to_string();
         assert!(read_cameras(&file.path, &Sampling::default()).is_err());
-        // The other channel moves on, and says at what it cannot be evaluated.
+        // The other channel still moves, and evaluation fails with the place of the broken one.
         let source = rest.source.unwrap();
         assert!(source.moves() && source.at(&rest.scene, 0.5).unwrap_err().to_string().starts_with("at 0.5 s: /"));
         let note = rest.notes.iter().find(|note| note.contains("not played")).unwrap().clone();
@@ -496,7 +497,7 @@ fn weights_are_as_many_as_targets_and_times_grow() {
     let file = File::new(&b, &document).rest();
     assert_eq!(file.notes[0], "/animations/0/channels/0: not played, and 1 more: expected 2 times 1 numbers, found 4");
     assert!(!file.notes.iter().any(|note| note.contains("before them")), "{:?}", file.notes);
-    // Where they are played.
+    // Notes for playing the animations.
     let said = file.source.unwrap().played([0.0, 5.0]);
     let several = "/animations: 1 of 2 move something that an earlier one moves: there the earlier one is played; --animation selects one";
     assert_eq!(said, [several, "/animations: last from 0.000 to 2.000 s: outside, the scene is as at the nearer end"]);
@@ -542,7 +543,7 @@ fn a_pose_is_no_document() {
     let out = file.path.with_file_name("out.glb");
     let options = WriteOptions { cameras: &posed.cameras, source: Some(source), ..WriteOptions::default() };
     let report = write_scene(&out, &posed.scene, &options).unwrap();
-    // Who asks for a pose has no use for what moves it.
+    // In a pose that was asked for, the animation is not counted as a loss.
     assert!(report.loss.is_rounding(), "{}", report.loss);
     let back = read_file(&out, &ReadOptions::default()).unwrap();
     assert!(!back.source.unwrap().moves());
@@ -563,7 +564,7 @@ fn a_pose_is_no_document() {
     near(bytemuck::cast_slice(back.splats.means()), bytemuck::cast_slice(larger.splats.means()), 1e-6);
     near(back.splats.sh().as_flattened(), larger.splats.sh().as_flattened(), 1e-6);
     near(bytemuck::cast_slice(back.splats.log_scales()), bytemuck::cast_slice(larger.splats.log_scales()), 1e-6);
-    // And the document says of the scene that was moved what it shows.
+    // The document can also be evaluated for the transformed scene.
     let posed = source.at(&moved, 0.5).unwrap();
     let upright = Similarity::new(1.0, DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::ZERO).unwrap();
     let posed = upright.scene(posed).unwrap().splats;
@@ -581,7 +582,7 @@ fn what_cannot_be_shown_says_when() {
     let fewer = HybridScene { meshes: vec![], ..other };
     let error = source.at(&fewer, 1.25).unwrap_err().to_string();
     assert_eq!(error, "at 1.25 s: meshes: expected 1 elements, found 0");
-    // A node that has no extent along two axes flattens what hangs on it.
+    // A node that is scaled to zero along two axes flattens its children.
     let flattened = bound("node", |document| {
         document["animations"][0]["channels"][1]["target"]["path"] = json!("scale");
         document["nodes"][2]["name"] = json!("hair");

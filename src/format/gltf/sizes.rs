@@ -149,7 +149,7 @@ mod tests {
     use crate::format::inspect;
     use crate::format::test_scenes::random_scene;
 
-    /// Bytes of the parts that are not `other`, which has to be what is missing in `whole`.
+    /// Bytes of all parts except `other`, which must be the remainder of `whole`.
     fn parts(path: &Path, whole: usize) -> Vec<(&'static str, u64)> {
         let summary = inspect(path).unwrap();
         assert_eq!(
@@ -175,7 +175,7 @@ mod tests {
             parts.iter().copied().filter(|(part, _)| !["json", "base64"].contains(part)).collect()
         };
 
-        // Embedded: the text is a third longer than what it holds, which is counted once.
+        // Embedded buffer: its base64 text is a third longer than its bytes, which are counted once.
         let of_gltf = parts(&gltf, lengths[1]);
         assert_eq!(without_text(&of_gltf), without_text(&of_glb));
         let mut document: serde_json::Value = serde_json::from_slice(&std::fs::read(&gltf).unwrap()).unwrap();
@@ -184,7 +184,7 @@ mod tests {
         assert!(of_gltf.contains(&("base64", (uri.len() - buffer.len()) as u64)), "{of_gltf:?}");
         assert!(of_gltf.contains(&("json", (lengths[1] - uri.len()) as u64)), "{of_gltf:?}");
 
-        // Beside it; two accessors of the same bytes are no more bytes.
+        // External buffer; a second accessor for the same bytes adds nothing.
         std::fs::write(folder.path().join("a.bin"), &buffer).unwrap();
         document["buffers"][0]["uri"] = json!("a.bin");
         let twin = document["accessors"][0].clone();
@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(without_text(&of_gltf), without_text(&of_glb));
         assert!(of_gltf.contains(&("json", text.len() as u64)), "{of_gltf:?}");
 
-        // Images in the text, beside it, and nowhere.
+        // Images in the text, in a file beside it, and missing.
         let picture = vec![7; 1000];
         let uri = format!("data:image/png;base64,{}", base64::encode(&picture));
         std::fs::write(folder.path().join("a.png"), &picture).unwrap();

@@ -1,4 +1,4 @@
-//! Documents that are written again: what stands, what moves, what is named as lost.
+//! Documents written again: unchanged, transformed, or with named losses.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ use crate::scene::PixelFilter;
 
 const KEEP: ReadOptions<'_> = ReadOptions { drop_invalid: false, keep_document: true, time: None, animations: &[] };
 
-/// A triangle with everything that a scene cannot hold.
+/// A triangle with all features that a scene cannot hold.
 fn rich() -> (Builder, Value) {
     let (mut b, mut attributes) = triangle();
     attributes["NORMAL"] = json!(b.floats(&[[0.0f32, 0.0, 1.0]; 3]));
@@ -60,7 +60,7 @@ fn rich() -> (Builder, Value) {
     (b, document)
 }
 
-/// JSON and binary chunk of a file in either container.
+/// JSON and buffers of a file in either container.
 fn opened(path: &Path) -> (Value, Vec<Vec<u8>>) {
     let asset = Asset::open(path).unwrap();
     let content = |buffer: &Buffer| buffer.read(0..buffer.len()).unwrap().into_owned();
@@ -111,7 +111,7 @@ fn what_moves_hangs_below_a_node() {
     write_glb(&at("ours.glb"), &random_scene(4, 1, 1, 4), &[("c".to_owned(), camera())], None).unwrap();
     for name in ["theirs.gltf", "ours.glb"] {
         let file = read_file(&at(name), &KEEP).unwrap();
-        // The fingerprint is of what the caller says the moved scene is.
+        // The fingerprint is that of the scene which the caller states as the transformed one.
         let mut source = file.source.clone().unwrap();
         source.follow(by, &file.scene, &file.cameras);
         let options = WriteOptions { cameras: &file.cameras, source: Some(&source), ..WriteOptions::default() };
@@ -133,14 +133,14 @@ fn what_moves_hangs_below_a_node() {
         let (original, _) = opened(&at(name));
         assert_eq!(json["animations"], original["animations"]);
         assert_eq!(json["meshes"], original["meshes"]);
-        // Mirrored it cannot stand.
+        // A mirrored document cannot be kept.
         let mut source = file.source.unwrap();
         source.follow(DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0)), &file.scene, &file.cameras);
         assert!(!source.stands(&file.scene, &file.cameras));
     }
 }
 
-/// What is at the top of two scenes may not be below a node in one of them.
+/// A root node of two scenes must not become the child of a node in only one of them.
 #[test]
 fn what_scenes_share_moves_in_all_of_them() {
     let folder = tempfile::tempdir().unwrap();
@@ -187,7 +187,7 @@ fn a_changed_scene_is_written_anew_and_what_is_dropped_is_named() {
         "the extension EXT_unknown",
         "extras",
     ];
-    // What is of the file goes into another glTF.
+    // File-level metadata is written to another glTF.
     for (name, of_the_file) in [("out.glb", &[][..]), ("out.ply", &["the copyright", "extras of the file"])] {
         let report = write_scene(&at(name), &scene, &options).unwrap();
         assert_eq!(report.loss.document, [&dropped[..], of_the_file].concat());
@@ -234,7 +234,7 @@ fn what_a_material_does_not_show_is_lost() {
     assert_eq!(lost(&["POSITION"], shiny), unshown);
     let mut bright = json!({ "emissiveTexture": { "index": 0, "texCoord": 1 }, "emissiveFactor": [1, 1, 1] });
     assert_eq!(lost(&sets, bright.clone()), ["the attributes TEXCOORD_0"], "it is what is shown");
-    // The diffuse colour of an extension takes the place of the base colour.
+    // The diffuse colour of an extension replaces the base colour.
     let mut diffuse = bright.clone();
     diffuse["extensions"] = json!({ SPECULAR_GLOSSINESS: { "diffuseTexture": { "index": 0, "texCoord": 1 } } });
     assert_eq!(lost(&sets, diffuse.clone()), ["the attributes TEXCOORD_0", unshown[0]]);
@@ -265,7 +265,7 @@ fn cameras_and_the_rule_change_within_the_document() {
     assert_eq!((again.scene.composition, again.cameras.len()), (scene.composition, 0));
     assert_eq!(json["animations"], document["animations"]);
 
-    // What the document states of the rule and the new rule does not is gone from it.
+    // Properties of the rule that the document states and the new rule does not are removed.
     scene.composition.pixel_filter = PixelFilter { variance: 0.5, normalized: true };
     write_scene(&at("wide.glb"), &scene, &options).unwrap();
     let wide = read_file(&at("wide.glb"), &KEEP).unwrap();
@@ -285,7 +285,7 @@ fn cameras_and_the_rule_change_within_the_document() {
     assert!(error.ends_with(&place), "{error}");
 }
 
-/// Elsewhere the scene is written anew, which every reader takes.
+/// In other documents the scene is written anew, which every reader accepts.
 #[test]
 fn a_rule_is_set_only_in_documents_that_may_have_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -414,7 +414,7 @@ fn without_its_bytes_a_document_does_not_stand() {
     assert!(!source.stands(&file.scene, &file.cameras) && !source.remainder().is_empty());
 }
 
-/// A triangle whose material names that picture.
+/// A triangle whose material refers to the picture at `uri`.
 fn pictured(uri: &str) -> (Builder, Value) {
     let (b, attributes) = triangle();
     let document = json!({
@@ -427,7 +427,7 @@ fn pictured(uri: &str) -> (Builder, Value) {
     (b, document)
 }
 
-/// What a copy elsewhere lacks is said, also where the picture is there but outside of the folder.
+/// A missing picture is reported as lost in a copy elsewhere, also if it exists but is outside of the folder.
 #[test]
 fn pictures_that_were_not_found_are_lost() {
     let folder = tempfile::tempdir().unwrap();
@@ -445,7 +445,7 @@ fn pictures_that_were_not_found_are_lost() {
     }
 }
 
-/// Another glTF takes them over, other formats do not.
+/// They are written to another glTF, but not to other formats.
 #[test]
 fn the_copyright_and_extras_of_the_file_are_lost_elsewhere() {
     let folder = tempfile::tempdir().unwrap();
@@ -472,7 +472,7 @@ fn the_copyright_and_extras_of_the_file_are_lost_elsewhere() {
     assert_eq!(lost(&theirs, "b.glb"), Vec::<String>::new());
 }
 
-/// Nothing looks at a view that nothing refers to, until buffers become one.
+/// An unused view is not checked on reading, but counts when buffers are merged.
 #[test]
 fn a_view_that_begins_beyond_all_numbers_is_written_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -490,7 +490,7 @@ fn a_view_that_begins_beyond_all_numbers_is_written_on() {
     assert_eq!(read_file(&at("b.glb"), &KEEP).unwrap().scene, file.scene);
 }
 
-/// The plain form of compressed views is not taken along; a buffer without a file has to say why.
+/// The uncompressed fallback of compressed views is not copied; a buffer without data must be marked as a fallback.
 #[test]
 fn a_plain_form_that_is_left_out_says_that_it_is_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -514,7 +514,7 @@ fn a_plain_form_that_is_left_out_says_that_it_is_one() {
     assert_eq!(crate::format::validate(&at("b.glb")).unwrap().findings, []);
 }
 
-/// Reads, describes and writes what may be damaged.
+/// Reads, describes and writes a file that may be damaged.
 fn exercise(bytes: &[u8], folder: &Path) {
     let Ok(asset) = Asset::parse(bytes, PathBuf::new()) else { return };
     let _ = (sizes(&asset, 0), describe(&asset));

@@ -1,4 +1,4 @@
-//! Splat primitives of others, by hand.
+//! Hand-written splat primitives as other programs write them.
 
 use glam::{Quat, Vec3};
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ fn quantised_splats() {
     }
 }
 
-/// Not rendered as what they are not.
+/// Splats with an unknown kernel or projection must not be rendered with another one.
 #[test]
 fn unknown_kernels_and_projections_are_refused() {
     let (b, attributes) = splats(false);
@@ -76,7 +76,7 @@ fn unknown_kernels_and_projections_are_refused() {
 
 #[test]
 fn splats_of_early_drafts() {
-    // As Cesium's sample: `_SCALE`, `_ROTATION`, a colour in place of coefficient 0 and opacity, no kernel.
+    // Like Cesium's sample: `_SCALE`, `_ROTATION`, a colour in place of coefficient 0 and opacity, and no kernel.
     let (mut b, full) = splats(false);
     let colour = b.normalized(5121, "VEC4", 2, &[255, 51, 0, 51, 0, 0, 0, 255]);
     let attribute = |name: &str| full[&format!("KHR_gaussian_splatting:{name}")].clone();
@@ -96,7 +96,7 @@ fn splats_of_early_drafts() {
     both["KHR_gaussian_splatting:SCALE"] = old["_SCALE"].clone();
     both["_LABEL"] = old["_SCALE"].clone();
     assert_eq!(left_out(&both, json!({})), ["the attributes _LABEL, _SCALE"]);
-    // With a kernel the names are no longer taken.
+    // With a kernel the old names are not accepted.
     let message = b.read(splat_document(old.as_object().unwrap(), khr())).unwrap_err();
     assert!(message.contains("expected the attribute `KHR_gaussian_splatting:ROTATION`"), "{message}");
 }
@@ -112,7 +112,7 @@ fn splats_within_spz() {
         let plain = crate::format::spz::read(&path).unwrap();
         let mut b = Builder::default();
         let view = b.view(&std::fs::read(&path).unwrap());
-        // Accessors describe what comes out, and have no data.
+        // Accessors describe the decompressed content, and have no data.
         b.accessors =
             vec![json!({ "componentType": 5126, "type": "VEC3", "count": 5, "min": [0, 0, 0], "max": [1, 1, 1] })];
         let attributes = json!({ "POSITION": 0 });
@@ -124,17 +124,17 @@ fn splats_within_spz() {
             document
         };
         let found = b.read(document(&khr)).unwrap().scene.splats;
-        // Captures are right, down, front; glTF's splats left, up, front.
+        // Captures are right, down, front; glTF's splats are left, up, front.
         for (a, b) in plain.means().iter().zip(found.means()) {
             assert_eq!(*b, *a * Vec3::new(-1.0, -1.0, 1.0));
         }
         near(found.log_scales()[0].as_ref(), plain.log_scales()[0].as_ref(), 0.0);
-        // Harmonics of band 1 turn as −y, z, −x do.
+        // Harmonics of band 1 transform like −y, z, −x.
         for k in 0..3 {
             let [y, z, x] = [1, 2, 3].map(|c| plain.sh_of(2)[c][k]);
             near(&[1, 2, 3].map(|c| found.sh_of(2)[c][k]), &[-y, z, -x], 1e-6);
         }
-        // The stream has the positions as well.
+        // The compressed stream contains the positions as well.
         let mut bare = document(&khr);
         bare["meshes"][0]["primitives"][0]["attributes"] = json!({});
         assert_eq!(b.read(bare).unwrap().scene.splats, found);
@@ -204,7 +204,7 @@ fn colour_spaces_differ_where_the_scene_states_none() {
     );
 }
 
-/// An extension that is not known here has what accessors describe.
+/// An unknown compression extension provides the content that the accessors describe.
 #[test]
 fn splats_without_data_are_refused_beside_what_is_unknown() {
     let (mut b, attributes) = splats(false);

@@ -49,7 +49,7 @@ fn assert_close(a: &Splats, b: &Splats) {
     assert_eq!(a.sh(), b.sh());
     for i in 0..a.len() {
         assert!((a.rotations()[i] - b.rotations()[i]).length() < 2.5e-7, "normalised once more");
-        // f32 has 24 bits: e^s and back moves s by 6e-8, plus its own rounding.
+        // f32 has 24 bits: applying exp and ln changes s by 6e-8, plus rounding.
         assert!((a.log_scales()[i] - b.log_scales()[i]).abs().max_element() < 1e-6);
         let opacity = |s: &Splats| 1.0 / (1.0 + (-f64::from(s.opacity_logits()[i])).exp());
         assert!((opacity(a) - opacity(b)).abs() <= 1e-6 * opacity(a), "{} {}", opacity(a), opacity(b));
@@ -68,7 +68,7 @@ fn round_trip() {
         assert_eq!(back.notes, Vec::<String>::new());
         for ((name, camera), (name_back, camera_back)) in cameras.iter().zip(&back.cameras) {
             assert_eq!((name, camera.intrinsics()), (name_back, camera_back.intrinsics()));
-            // `Camera::new` makes the rotation orthonormal once more.
+            // `Camera::new` orthonormalises the rotation again.
             assert!(camera.rotation().abs_diff_eq(camera_back.rotation(), 1e-14));
             assert_eq!(camera.translation(), camera_back.translation());
         }
@@ -145,7 +145,7 @@ fn a_moved_root_moves_everything() {
     let root = json["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
     json["nodes"][root]["translation"] = json!([1, 2, 3]);
     let moved = read_bytes(&with_json(&glb, &json)).unwrap();
-    // In the frame of the capture y and z point the other way.
+    // y and z are negated in the frame of captures.
     let offset = glam::Vec3::new(1.0, -2.0, -3.0);
     for (a, b) in scene.splats.means().iter().zip(moved.scene.splats.means()) {
         assert!((*a + offset - *b).length() < 1e-6);
@@ -177,7 +177,7 @@ fn a_lens_that_was_changed_is_taken() {
         json["cameras"][0]["perspective"][name] = json!(value);
         read_bytes(&with_json(&glb, &json)).unwrap()
     };
-    // To twice the tangent, half the focal lengths; size and principal point stay.
+    // Twice the tangent halves the focal lengths; size and principal point stay.
     let wide = *changed("yfov", 2.0 * (f64::from(k.height) / k.fy).atan()).cameras[0].1.intrinsics();
     assert!((wide.fx - 0.5 * k.fx).abs() < 1e-4 * k.fx && (wide.fy - 0.5 * k.fy).abs() < 1e-4 * k.fy, "{wide:?}");
     assert_eq!((wide.width, wide.height, wide.cx, wide.cy), (k.width, k.height, k.cx, k.cy));
@@ -190,7 +190,8 @@ fn a_lens_that_was_changed_is_taken() {
     );
 }
 
-/// As the extension's text lists them; whoever writes these need not know where in the capture the camera is.
+/// The fields listed in the extension's specification; they can be written without knowing the camera's place in the
+/// capture.
 #[test]
 fn six_numbers_of_a_camera_are_enough() {
     let glb = bytes_of(&random_scene(1, 0, 0, 4), &[("c".to_owned(), camera())]);
@@ -204,7 +205,7 @@ fn six_numbers_of_a_camera_are_enough() {
     for without in [&["rotation", "translation"][..], &["rotation"], &["translation"]] {
         let (found, notes) = read(&|own| own.as_object_mut().unwrap().retain(|key, _| !without.contains(&&key[..])));
         assert_eq!((found.intrinsics(), notes), (exact.intrinsics(), vec![]));
-        // The node says it in f32.
+        // The node stores the pose in f32.
         assert!(found.rotation().abs_diff_eq(exact.rotation(), 1e-6));
         assert!(found.center().abs_diff_eq(exact.center(), 1e-5), "{} {}", found.center(), exact.center());
     }
@@ -241,7 +242,7 @@ fn pictures_are_as_wide_as_the_aspect_ratio_says() {
     }
     let usual = read(None);
     assert_eq!((usual.width, usual.fx), (1920, usual.fy));
-    // Of what is wider than any picture the middle is seen.
+    // Of an image wider than any picture may be, the middle is kept.
     let cut = read(Some(1e9));
     assert_eq!((cut.width, cut.fx), (Intrinsics::MAX_PICTURE_SIDE, cut.fy));
 }
@@ -280,7 +281,7 @@ fn foreign_nodes_turn_splats_and_their_harmonics() {
         let log_scale = scene.splats.log_scales()[i].x + 2f32.ln();
         assert!((back.log_scales()[i].x - log_scale).abs() < 2e-6);
     }
-    // Ellipsoids are as many times as large as the node makes everything, whichever way it stretches and mirrors them.
+    // The volume of splats scales as that of the node, even if it stretches or mirrors.
     json["nodes"][0]["scale"] = json!([1, -3, 2]);
     let stretched = read_bytes(&with_json(&glb, &json)).unwrap().scene.splats;
     for i in 0..4 {
@@ -343,9 +344,9 @@ fn fallback_colour_is_linear_light() {
     }
 }
 
-/// Validates every object of the document that has a schema; returns how many there were and what is wrong.
+/// Validates every object of the document that has a schema; returns the number of these and the faults.
 fn validate(document: &Value) -> (usize, Vec<String>) {
-    // What our schemas use of core glTF, and what KHR_gaussian_splatting demands of its object.
+    // The parts of core glTF that our schemas refer to, and the requirements of KHR_gaussian_splatting on its object.
     let core = json!({
         "mesh.primitive.KHR_gaussian_splatting.schema.json": {
             "type": "object",
@@ -485,7 +486,7 @@ fn import_undoes_the_frame_and_the_seams() {
     }
 }
 
-/// All places in a document that hold something else than an object or array.
+/// Pointers to all values in a document that are neither objects nor arrays.
 pub(super) fn leaves(value: &Value, pointer: &str, found: &mut Vec<String>) {
     match value {
         Value::Object(map) => map.iter().for_each(|(k, v)| leaves(v, &format!("{pointer}/{k}"), found)),

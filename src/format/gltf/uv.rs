@@ -291,7 +291,7 @@ mod tests {
         let moved = CORNER.map(|uv| uv + Vec2::new(-3.0, 5.0));
         assert_eq!(map(WrappingMode::Repeat).corners(moved), CORNER);
         assert_eq!(map(WrappingMode::ClampToEdge).corners(moved), moved);
-        // −3 is an odd number of tiles: mirrored.
+        // −3 is an odd number of tiles, so the texture is mirrored.
         let mirrored = CORNER.map(|uv| Vec2::new(1.0 - uv.x, 1.0 - uv.y));
         assert_eq!(map(WrappingMode::MirroredRepeat).corners(moved), mirrored);
         for wrap in [WrappingMode::Repeat, WrappingMode::MirroredRepeat] {
@@ -347,7 +347,7 @@ mod tests {
         let bands = unrolled.bands().unwrap();
         assert_eq!((bands.width(), bands.height(), values(bands)[4999]), (5000, 1, 2.5));
         assert!(corners[0][1].abs_diff_eq(Vec2::X, 1e-6) && corners[0][2] == Vec2::new(0.0, 0.5));
-        // One texel is the same however often.
+        // A map of one texel is the same however often it repeats.
         let mut corners = [reaching(1e6, 1e6)];
         let (mean, said) = Unrolling::default().unrolled(&repeat, atlas, &mut corners);
         assert_eq!((values(mean.base()), values(mean.bands().unwrap())), (vec![5.0], vec![2.5]));

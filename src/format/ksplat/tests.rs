@@ -20,7 +20,7 @@ fn message(bytes: &[u8]) -> String {
     decode(bytes).unwrap_err().in_file(Path::new("a.ksplat")).to_string()
 }
 
-/// `splats` in the order in which `back` has them, by the nearest mean.
+/// `splats` in the order of `back`, matched by the nearest mean.
 fn reordered(splats: &Splats, back: &Splats) -> Splats {
     let mut arrays = splats.clone().into_arrays();
     let k = sh::coefficients(splats.sh_degree());
@@ -50,7 +50,7 @@ fn round_trip_stays_within_the_stated_errors() {
             let e = loss.max_error;
             assert!(e.opacity <= 1.0 / 510.0 + 1e-6 && e.opacity > 0.0015, "{e:?}");
             assert!((0.05..0.066).contains(&e.color), "±2 leaves 0..1 by 0.064: {e:?}");
-            // Blocks are 6/16 wide; coefficients reach ±2, scales e^−9 to e.
+            // Blocks are 6/16 wide; coefficients are within ±2, and scales from e^−9 to e.
             let (mean, log_scale, rotation, sh) = match level {
                 Level::Float => (0.0, 1e-6, 1e-4, 0.0),
                 Level::Half => (6.0 / 16.0 / 131_068.0 + 3e-7, 4.9e-4, 0.06, 4.9e-4),
@@ -73,7 +73,7 @@ fn layout_is_the_formats() {
     assert_eq!(float(0), splats.means()[0].x);
     assert_eq!(float(24), splats.rotations()[0].w);
     let c = splats.sh_of(0);
-    // Band 1: red −1, 0, 1, then green; band 2 after nine.
+    // Band 1: red −1, 0, 1, then green; band 2 follows after nine coefficients.
     assert_eq!([0, 1, 3, 9, 14].map(|k| float(44 + 4 * k)), [c[1][0], c[2][0], c[1][1], c[4][0], c[4][1]]);
     for (level, stride) in [(Level::Half, 72), (Level::HalfAndByte, 48)] {
         let (bytes, _) = encode(&splats, level);
@@ -88,7 +88,7 @@ fn layout_is_the_formats() {
 #[test]
 fn full_buckets_come_first() {
     let mut arrays = random_splats(1000, 0, 4).into_arrays();
-    // Two far blocks of 700 and 300.
+    // Two distant clusters of 700 and 300 splats.
     arrays.means.iter_mut().enumerate().for_each(|(i, m)| *m = *m * 0.01 + if i < 700 { 0.0 } else { 103.0 });
     let splats = arrays.check().unwrap();
     let (bytes, loss) = encode(&splats, Level::Half);

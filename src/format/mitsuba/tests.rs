@@ -81,7 +81,7 @@ fn a_hybrid_scene_is_whole() {
     assert_eq!(values(&text, "color_space"), ["srgb"]);
     assert_eq!(values(&text, "width"), ["640", "640"]);
 
-    // What the sensor of hybrid_rf.py makes of a pixel is the camera's ray.
+    // The sensor of hybrid_rf.py maps a pixel to the camera's ray.
     let k = camera().intrinsics().to_owned();
     let number = |name: &str| values(&text, name)[0].parse::<f64>().unwrap();
     let intrinsics = Intrinsics {
@@ -122,11 +122,12 @@ fn the_stock_variant_names_what_it_leaves_out() {
     assert_eq!(report.beside, ["a_splats.ply"]);
     assert_eq!((report.loss.meshes, report.loss.composition), (2, true));
     assert!(text.contains("volprim_rf_basic") && !text.contains("hybrid"));
-    // Mitsuba's perspective: the tangent of half the field of view is half a width in focal lengths.
+    // Mitsuba's `perspective` sensor: the tangent of half the field of view is half the width divided by the focal
+    // length.
     let k = *camera().intrinsics();
     let fov: f64 = values(&text, "fov")[0].parse().unwrap();
     assert!((0.5 * f64::from(k.width) / (0.5 * fov.to_radians()).tan() - k.fx).abs() < 1e-9);
-    // By its sign, which a render showed, the axis meets the film at half of it less the offset.
+    // The sign was determined by rendering: the optical axis meets the film at one half minus the offset.
     for (name, side, at) in [("x", k.width, k.cx), ("y", k.height, k.cy)] {
         let offset: f64 = values(&text, &format!("principal_point_offset_{name}"))[0].parse().unwrap();
         assert!(offset != 0.0 && ((0.5 - offset) * f64::from(side) - at).abs() < 1e-9, "{name}: {offset}");

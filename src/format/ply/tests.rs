@@ -14,7 +14,7 @@ fn written(splats: &Splats) -> Vec<u8> {
     content
 }
 
-/// Of splats of degree 3: 2DGS lacks the third scale, others have a band more, `GaussianAvatars` what they hang on.
+/// Variants of degree 3: 2DGS lacks the third scale, others add a fourth band, and `GaussianAvatars` adds bindings.
 #[test]
 fn layouts_near_inrias_are_read_with_a_note() {
     let splats = random_splats(2, 3, 5);
@@ -49,7 +49,7 @@ fn layouts_near_inrias_are_read_with_a_note() {
     assert_eq!(bound.attributes[0].values(), [5.0, 5.0]);
 }
 
-/// As its renderer has it: scales and opacities after the filter of 3-D, pictures by that of 2-D.
+/// As its renderer does: the 3D filter is applied to scales and opacities, and the 2D filter is kept for rendering.
 #[test]
 fn mip_splatting_is_read_as_it_is_seen() {
     let splats = random_splats(9, 1, 5);
@@ -89,7 +89,8 @@ fn what_a_file_has_besides_is_named_and_how_it_is_seen_kept() {
     assert_eq!(read.notes, ["`extrinsic`, 1 of it: left out"]);
 }
 
-/// `SplatRenderMode: mip` is what others make of every *antialiased*; the last comment counts, as for splat-transform.
+/// Other programs write `SplatRenderMode: mip` for every *antialiased* scene; the last comment counts, as in
+/// splat-transform.
 #[test]
 fn comments_say_how_splats_are_seen() {
     let file = written(&random_splats(2, 0, 5));
@@ -134,7 +135,7 @@ fn every_filter_that_keeps_integrals_comes_back() {
         compressed::write_with(&path, &splats, filter).unwrap();
         let read = read_with(&path, &ReadOptions::default()).unwrap();
         assert_eq!((read.pixel_filter, read.notes.len()), (filter, 0));
-        // As it was written before; and by splat-transform, of whatever is antialiased.
+        // As in files of earlier versions, and as splat-transform writes all antialiased scenes.
         let content = std::fs::read(&path).unwrap();
         let text = format!("comment {VARIANCE} {variance}\n");
         let at = content.windows(text.len()).position(|w| w == text.as_bytes()).unwrap();
@@ -158,7 +159,7 @@ fn normals_and_digits_that_are_lost_are_named() {
         );
         parse(Cursor::new(text), false).unwrap().notes
     };
-    // Half a unit in the last place is 0.016 m there, of a scene of 1 m.
+    // Half a unit in the last place is 0.016 m at this distance, in a scene of 1 m.
     let far = ["500000.01 0 0 0", "500001.01 0 0 0"];
     let said = notes("double", far[0], far[1]);
     assert_eq!(said, ["double-precision positions are rounded to single precision, by 1.0e-2 at most"]);
@@ -176,7 +177,7 @@ fn round_trip_is_exact() {
         assert_eq!(back.log_scales(), splats.log_scales());
         assert_eq!(back.opacity_logits(), splats.opacity_logits());
         assert_eq!(back.sh(), splats.sh());
-        // `Splats::new` normalises once more, which may move the last bit.
+        // `Splats::new` normalises again, which can change the last bit.
         for (a, b) in back.rotations().iter().zip(splats.rotations()) {
             assert!((*a - *b).length() < 2.5e-7, "{a} {b}");
         }
@@ -329,7 +330,7 @@ fn invalid_rows_are_refused_or_dropped_with_their_attributes() {
     write_with(&path, &splats, &[order], PixelFilter::DILATION).unwrap();
     let mut file = std::fs::read(&path).unwrap();
     let first_row = file.len() - 6 * 18 * 4;
-    // A mean, a colour, an opacity; and a quaternion of zeros.
+    // Invalid values of a mean, a colour and an opacity; and a quaternion of zeros.
     for (row, column, value) in [(0, 1, f32::NAN), (2, 6, f32::INFINITY), (3, 9, f32::NAN)] {
         file[first_row + 4 * (18 * row + column)..][..4].copy_from_slice(&value.to_le_bytes());
     }

@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn nearest_is_nearest_and_normal_samples_come_near_the_optimum() {
         let mut rng = Pcg64Mcg::seed_from_u64(5);
-        // The sum of twelve uniform numbers is all but normal.
+        // The sum of twelve uniform numbers is almost normally distributed.
         let samples: Vec<f32> =
             (0..200_000).map(|_| (0..12).map(|_| rng.random_range(-0.5..0.5f32)).sum::<f32>()).collect();
         let codebook = Codebook::of(samples.clone());
@@ -140,8 +140,8 @@ mod tests {
             let least = codebook.values().iter().map(|c| (v - c).abs()).fold(f32::INFINITY, f32::min);
             assert!(error <= least + 1e-6);
         }
-        // Panter-Dite for a normal distribution and N levels: π√3/2 σ²/N² = 4.15e-5; a uniform grid over its range has
-        // twice that.
+        // Panter-Dite formula for a normal distribution and N levels: π√3/2 σ²/N² = 4.15e-5; a uniform grid over its
+        // range has twice that.
         let mean = squares / samples.len() as f64;
         assert!(mean < 1.1 * 4.15e-5, "{mean:e}");
     }

@@ -166,7 +166,7 @@ mod tests {
             let [w, h] = image_size(n);
             assert!(w * h >= n && w <= MAX_SIDE && h <= MAX_SIDE && w * h <= 2 * n + (1 << 16), "{n}");
         }
-        // What splat-transform chooses.
+        // The sizes that splat-transform chooses.
         assert_eq!((image_size(8406), image_size(307_128)), ([92, 92], [556, 556]));
     }
 }

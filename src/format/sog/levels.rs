@@ -190,7 +190,7 @@ mod tests {
     use super::*;
     use crate::format::test_scenes::random_splats;
 
-    /// Two leaves in levels 0 and 1, and an environment; returns the path of the index.
+    /// Writes a scene of two leaves in levels 0 and 1 and an environment; returns the path of the index.
     fn written(folder: &Path) -> PathBuf {
         for (name, count, degree) in [("0_0", 9, 1), ("1_0", 4, 0), ("env", 2, 2)] {
             std::fs::create_dir(folder.join(name)).unwrap();
@@ -225,7 +225,7 @@ mod tests {
         assert!(read(&path).unwrap_err().to_string().contains("expected the file of at least one level"));
     }
 
-    /// As splat-transform writes them where thinning has moved all splats of a part into another.
+    /// As written by splat-transform if simplification has moved all splats of a part into another.
     #[test]
     fn a_part_without_the_finest_level_has_no_splats_there() {
         let folder = tempfile::tempdir().unwrap();
@@ -244,7 +244,7 @@ mod tests {
             read(&path).unwrap().notes,
             ["counts says 9 splats of the finest level, its parts 6", "`camera` of lod-meta.json: left out"]
         );
-        // Nobody needs the file of the part that is not taken.
+        // The file of the part that is not selected is not needed.
         std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();
         assert_eq!(read(&path).unwrap().splats.len(), 6 + 2);
     }

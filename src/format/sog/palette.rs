@@ -249,11 +249,11 @@ mod tests {
         let vectors = Vectors { sh: &sh, dims: 24 };
         let many = palette(vectors, 6000, 512);
         assert!(many.entries.len() <= 512 * 24);
-        // Each cluster is a cube of side 2e-3: variance 1e-6/3 along each of 24 axes.
+        // Each cluster is a cube with side 2e-3: variance 1e-6/3 along each of 24 axes.
         assert!(error(vectors, &many) < 1.5 * 24.0 * 1e-6 / 3.0, "{:e}", error(vectors, &many));
         let few = palette(vectors, 6000, 16);
         assert!(few.entries.len() == 16 * 24 && error(vectors, &few) > error(vectors, &many));
-        // 24 variances of 1/3 before any splitting.
+        // Without any splitting the error would be 24 variances of 1/3.
         assert!(error(vectors, &few) < 8.0, "{}", error(vectors, &few));
     }
 

@@ -46,7 +46,7 @@ fn zipped(files: &Files, method: CompressionMethod) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// The bundle with another `meta.json`.
+/// The bundle with a changed `meta.json`.
 fn with_meta(zip: &[u8], change: impl FnOnce(&mut Value)) -> Vec<u8> {
     let mut files = unzip(zip);
     let (_, text) = files.iter_mut().find(|(name, _)| name == files::META).unwrap();
@@ -63,7 +63,7 @@ fn round_trip_within_the_stated_loss() {
         let (zip, report) = written(&splats);
         let back = parse(zip.clone()).unwrap();
         assert_eq!((back.len(), back.sh_degree()), (3000, degree));
-        // The written order, found again by position: cells are far smaller than the distance of random means.
+        // Splats are matched in the order in which they are written.
         let order = encode::encode(&splats, false).map_err(|_| ()).unwrap().order;
         let mut loss = Loss::default();
         for (i, &source) in order.iter().enumerate() {
@@ -71,13 +71,15 @@ fn round_trip_within_the_stated_loss() {
         }
         assert_eq!(loss, report.loss, "what a reader gets is what was measured");
         let e = report.loss.max_error;
-        // Half a step: of 16 bits of ln(1+|x|) for |x| ≤ 3, whose derivative is 1/(1+|x|).
+        // Half a step: 16 bits of ln(1+|x|) for |x| ≤ 3, whose derivative is 1/(1+|x|).
         let step = 2.0 * 4f32.ln() / 65535.0 * 4.0;
         assert!(e.mean > 0.0 && e.mean <= 0.51 * step, "{}", e.mean);
         assert!(e.opacity <= 0.501 / 255.0, "{}", e.opacity);
-        // Half a step of √2/255 in three components, at worst all at once, and the fourth that follows.
+        // Half a step of √2/255 in three components, in the worst case in all of them, and the resulting error of the
+        // fourth.
         assert!(e.rotation < 0.9 && e.rotation > 0.2, "{}", e.rotation);
-        // 256 values over a range of 10, and of 4 times C0; three times an even spacing's half step leaves room for gaps.
+        // 256 values over a range of 10, and over a range of 4 multiplied by C0; three times the half step of even
+        // spacing leaves room for gaps.
         assert!(e.log_scale < 3.0 * 10.0 / 512.0 && e.color < 3.0 * 4.0 * 0.2821 / 512.0, "{e:?}");
         assert!((e.sh > 0.0) == (degree > 0));
         assert_eq!(written(&splats).0, zip, "the same bytes again");
@@ -91,7 +93,7 @@ fn few_and_no_splats() {
         let splats = random_splats(n, 3, 7);
         let (zip, report) = written(&splats);
         assert_eq!(parse(zip).unwrap().len(), n);
-        // Each has an entry of the palette to itself up to the power of two; values share 256.
+        // Up to a power of two, each splat has its own palette entry; all values share 256 levels.
         assert!(n > 2 || report.loss.max_error.sh == 0.0, "{:?}", report.loss);
     }
 }
@@ -130,11 +132,11 @@ fn names_do_not_lead_out_of_the_folder() {
         let message = read(&path).unwrap_err().to_string();
         assert!(message.contains("/quats/files/0: expected a path inside the folder"), "{message}");
     }
-    // By another name of the same file.
+    // The same file under another name.
     std::fs::copy(&outside, inner.join("quats.webp")).unwrap();
     std::fs::write(&path, meta.replace("\"quats.webp\"", "\"./quats.webp\"")).unwrap();
     assert_eq!(read(&path).unwrap().len(), 9);
-    // As little of a file as a pipe, of which nobody would ever write the other end.
+    // A folder is refused, as is anything that is not a regular file, such as a pipe to which nobody writes.
     std::fs::create_dir(inner.join("none")).unwrap();
     std::fs::write(&path, meta.replace("\"quats.webp\"", "\"none\"")).unwrap();
     let message = read(&path).unwrap_err().to_string();
@@ -166,7 +168,7 @@ fn version_1_has_ranges() {
     let byte = |image: usize, i: usize, c: usize| f32::from(encoded.images[image].at(i)[c]) / 255.0;
     let label = |i| usize::from(u16::from_le_bytes([encoded.images[6].at(i)[0], encoded.images[6].at(i)[1]]));
     for i in 0..200 {
-        // Rounding of f32, in which the table is.
+        // f32 rounding of the table.
         let near = |a: f32, b: f32| assert!((a - b).abs() < 2e-6, "{a} {b}");
         near(back.log_scales()[i].y, -10.0 + 10.0 * byte(2, i, 1));
         near(back.sh_of(i)[0][2], -3.0 + 6.0 * byte(4, i, 2));
@@ -200,7 +202,7 @@ fn a_codebook_may_be_short() {
         values.map(|v| v.to_string()).collect::<std::collections::BTreeSet<_>>().into_iter().collect::<Vec<_>>()
     };
     assert_eq!(scales(&patched(json!([-2.0])).unwrap()), ["-2"]);
-    // Bytes beyond those that are there name the last.
+    // Indices beyond the end refer to the last value.
     assert_eq!(scales(&patched(json!([-3.0, -2.0])).unwrap()), ["-2", "-3"]);
     assert!(patched(json!([null])).unwrap_err().contains("/scales/codebook: expected 1 to 256 numbers"));
 }
@@ -306,7 +308,7 @@ fn small_files_do_not_unpack_to_large_ones() {
         message.contains("`means_l.webp`, byte ") && message.contains("expected the end of the file at"),
         "{message}"
     );
-    // An image of one colour takes a few bytes whatever its size.
+    // An image of one colour takes a few bytes at any size.
     let mut files = unzip(&zip);
     files[2].1 = texels::Texels::opaque(4096, 4096).encode();
     let message = parse(zipped(&files, CompressionMethod::Stored)).unwrap_err();
@@ -338,7 +340,7 @@ proptest! {
             damage(&mut zip);
             let _ = parse(zip);
         } else {
-            // Inside a member, so that the zip's checksum does not catch it.
+            // Damage inside a member, so that the zip's checksum does not catch it.
             let mut files = unzip(&ZIP);
             damage(&mut files[file].1);
             let _ = parse(zipped(&files, CompressionMethod::Stored));

@@ -82,7 +82,7 @@ mod tests {
     use super::*;
     use crate::format::test_scenes::random_splats;
 
-    /// Where the file's axes point in a scene (x right, y down, z front), by the three letters of a frame's name.
+    /// Directions of the file's axes in a scene (x right, y down, z front), by the three letters of a frame's name.
     fn axes(name: &str) -> DMat3 {
         let axis = |letter| match letter {
             'R' => DVec3::X,

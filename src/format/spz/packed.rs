@@ -147,7 +147,7 @@ mod tests {
             }
         }
         assert_eq!(encode_smallest_three(Quat::IDENTITY), [0, 0, 0, 0xc0]);
-        // Damaged words may have components whose squares exceed 1 together.
+        // In damaged words the squares of the components can add up to more than 1.
         assert!(decode_smallest_three([0xff; 4]).is_finite() && decode_first_three([0; 3]).is_finite());
     }
 

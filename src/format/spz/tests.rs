@@ -25,7 +25,7 @@ fn message(bytes: &[u8]) -> String {
     parse(bytes).unwrap_err().in_file(Path::new("a.spz")).to_string()
 }
 
-/// As [`random_splats`], with coefficients above 0 within ±1, which the format can hold.
+/// [`random_splats`] with the coefficients above band 0 within ±1, which the format can store.
 fn holdable(n: usize, degree: u32) -> Splats {
     let mut arrays = random_splats(n, degree, 1).into_arrays();
     let k = sh::coefficients(degree);
@@ -45,7 +45,7 @@ fn round_trip_stays_within_the_stated_errors() {
             assert_eq!(pixel_filter.normalized, degree == 2, "the flag");
             assert_same_loss(&report.loss, &Loss::of_splats(&splats, &back));
             let e = report.loss.max_error;
-            // Coordinates up to 3 have 14 bits behind the point.
+            // Coordinates up to 3 have 14 fractional bits.
             assert!(e.mean <= 0.5f32.powi(15) + 1e-7 && e.mean > 2e-5, "{e:?}");
             assert!(e.log_scale <= 1.0 / 32.0 + 1e-5 && e.log_scale > 0.03, "{e:?}");
             assert!(e.opacity <= 1.0 / 510.0 + 1e-6 && e.opacity > 0.0015, "{e:?}");
@@ -71,7 +71,7 @@ fn extremes_survive() {
         let (bytes, report) = written(&splats, &options);
         let back = parse(&bytes).unwrap().splats;
         assert_same_loss(&report.loss, &Loss::of_splats(&splats, &back));
-        // 10⁶ leaves 3 bits behind the point.
+        // Coordinates of 10⁶ leave 3 fractional bits.
         assert_eq!(back.means(), splats.means());
         assert!(report.loss.max_error.opacity < 1e-6 && report.loss.max_error.sh > 1e3, "{:?}", report.loss);
         assert_eq!(parse(&written(&Splats::empty(2), &options).0).unwrap().splats, Splats::empty(2));
@@ -135,9 +135,9 @@ fn a_short_file_cannot_fill_the_memory() {
         assert!(raw.contains("byte 8: expected at most 67108864 bytes of splats in a file of 16"), "{raw}");
         assert!(message(&gzipped(&content)).contains("byte 8: "));
     }
-    // A declared count that is plausible but not there costs what is there.
+    // A plausible count without the data allocates no more than the data present.
     assert!(message(b"NGSP\x03\0\0\0\0\0\x08\0\0\x0c\0\0").contains("expected 4718592 bytes of means, found 0 bytes"));
-    // A frame of zstd that goes on beyond what the table says.
+    // A zstd frame that is longer than the table says.
     let (mut v4, _) = written(&random_splats(9, 0, 1), &Options::default());
     let long = zstd::bulk::compress(&vec![0; 1 << 24], 1).unwrap();
     let frames = 32 + 5 * 16;
@@ -153,7 +153,7 @@ fn damage_inside_gzip_is_found_by_its_checksum() {
     let at = bytes.len() - 6;
     bytes[at] ^= 1;
     assert!(message(&bytes).contains("expected trailer that can be decompressed"), "{}", message(&bytes));
-    // However much follows what is read.
+    // However much data follows the part that is read.
     let (bytes, _) = written(&random_splats(9, 1, 1), &Options { version: Version::V3, ..Options::default() });
     let mut content = vec![];
     flate2::read::GzDecoder::new(&bytes[..]).read_to_end(&mut content).unwrap();
@@ -172,7 +172,7 @@ proptest! {
     ) {
         let (mut file, _) = written(&random_splats(7, degree, 9), &Options { version: VERSIONS[which], ..Options::default() });
         if which < 2 && packed {
-            // Damage below the compression, which the checksum does not catch.
+            // Damage of the decompressed content, which the checksum does not catch.
             let mut content = vec![];
             std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&file[..]), &mut content).unwrap();
             file = content;

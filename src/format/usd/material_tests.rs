@@ -1,4 +1,4 @@
-//! Materials and maps of surfaces, of ours and of others.
+//! Materials and maps of surfaces, as written by us and by other programs.
 
 use glam::Vec2;
 
@@ -22,7 +22,8 @@ fn without_its_own_maps_a_mesh_shows_its_pictures() {
         assert_eq!(back.scene.meshes[0].atlas().sh_degree(), 0);
         for (a, b) in before.texels().chunks_exact(4).zip(after.texels().chunks_exact(4)) {
             let rgb = |t: &[f32]| sh::rgb_from_dc([t[0], t[1], t[2]]).map(|c| c.clamp(0.0, 1.0));
-            // Half a step of 8 bits, in linear light where that is how it is blended: the curve's slope is 2.3 at most.
+            // Half a step of 8 bits; for scenes blended in linear light this is multiplied by the slope of the curve,
+            // at most 2.3.
             let step = if scene.composition.color_space == ColorSpace::SrgbDisplay { 0.5 } else { 1.15 } / 255.0;
             let same = |a: f32, b: f32, step: f32| (a - b).abs() <= step + 1e-6;
             assert!((0..3).all(|c| same(rgb(a)[c], rgb(b)[c], step)), "{a:?} {b:?}");
@@ -30,7 +31,7 @@ fn without_its_own_maps_a_mesh_shows_its_pictures() {
             assert!(same(opacity(a), opacity(b), 0.5 / 255.0));
         }
     }
-    // Nor those: what a texture has for that, else the default.
+    // With the pictures missing, the fallback of the texture is used, or else the default value.
     for entry in std::fs::read_dir(folder.path()).unwrap().map(Result::unwrap) {
         if entry.path().extension().is_some_and(|extension| extension == "png") {
             std::fs::remove_file(entry.path()).unwrap();
@@ -112,7 +113,8 @@ def "W" (
     );
 }
 
-/// A black map of emission with a light or two on it must not blacken what has a picture; grey that nobody asked for gives way to a map.
+/// An emission map that is black except for a few lights must not blacken a textured surface; a default grey is
+/// replaced by an emission map.
 #[test]
 fn emission_is_shown_where_there_is_no_picture_of_the_colour() {
     let read_with = |inputs: &str| {
@@ -154,7 +156,8 @@ def Mesh "M" {{
     }
 }
 
-/// A floor whose tile lies on it turned, three times along u: its picture is written out, corners lie as they say.
+/// A floor whose tile is rotated and repeats three times along u: the repeated picture is written out, and corners are
+/// transformed.
 #[test]
 fn textures_are_transformed_and_repeat() {
     let scene = |wrap: &str| {
@@ -205,7 +208,7 @@ def Mesh "M" {{
     let grey_of = |x: u32, y: u32| [[10, 20], [30, 40]][y as usize][x as usize];
     let colors = image::RgbImage::from_fn(2, 2, |x, y| image::Rgb([grey_of(x, y); 3]));
     let (clamped, _) = read_with("clamp", colors.clone().into());
-    // Scaled to (2s, 3t), turned to (−3t, 2s), moved by 3; v is downwards.
+    // Scaled to (2s, 3t), rotated to (−3t, 2s), moved by 3; v points down.
     let expected = [[3.0, 1.0], [3.0, -1.0], [0.0, 1.0]].map(Vec2::from);
     for (found, expected) in clamped.corner_uvs()[0].iter().zip(expected) {
         assert!(found.abs_diff_eq(expected, 1e-6), "{found} {expected}");
@@ -218,7 +221,7 @@ def Mesh "M" {{
         let expected = Vec2::new(expected.x / 3.0, (expected.y + 1.0) / 2.0);
         assert!(found.abs_diff_eq(expected, 1e-6), "{found} {expected}");
     }
-    // What is not in 8 bits of colour is linear.
+    // Values not stored as 8-bit colours are linear.
     let grey = |mesh: &crate::scene::Mesh| sh::rgb_from_dc(mesh.atlas().base().texels()[..3].try_into().unwrap())[0];
     assert!((grey(&tiled) - 10.0 / 255.0).abs() < 1e-6);
     let (linear, _) = read_with("clamp", image::GrayImage::from_pixel(1, 1, image::Luma([10])).into());
@@ -255,7 +258,7 @@ def Mesh "M" {
     assert_eq!([color(blue), color(red)].map(|rgb| rgb.map(f32::round)), [[0., 0., 1.], [1., 0., 0.]]);
 }
 
-/// What its colours mean is not known, but where it is.
+/// Their colours cannot be evaluated; the note names the shader.
 #[test]
 fn shaders_that_are_no_pictures_have_one_colour() {
     for (shader, what) in [
@@ -294,7 +297,7 @@ def Mesh "T" {{
     }
 }
 
-/// Maps of bands with as many channels as no degree has, beside a map that is fine.
+/// Band maps with a number of channels that no degree has, beside a valid map.
 #[test]
 fn a_map_of_bands_is_named_by_its_channels() {
     let folder = tempfile::tempdir().unwrap();
@@ -314,7 +317,7 @@ fn a_map_of_bands_is_named_by_its_channels() {
     }
 }
 
-/// The maps of a material are as wide as one of its pictures and as high as the other.
+/// The maps of a material get the width of one picture and the height of the other.
 #[test]
 fn maps_that_files_of_this_size_do_not_justify_are_refused() {
     let shader = |name: &str, file: &str| {
@@ -352,7 +355,7 @@ fn maps_that_files_of_this_size_do_not_justify_are_refused() {
     );
 }
 
-/// Of a window that EXR allows and more channels than four, no 64 bits hold the number of samples.
+/// With a window allowed by EXR and more than four channels, the number of samples overflows 64 bits.
 #[test]
 fn maps_of_any_window_are_refused_in_one_line() {
     let mut bytes = [20_000_630, 2].map(u32::to_le_bytes).concat();
@@ -360,7 +363,7 @@ fn maps_of_any_window_are_refused_in_one_line() {
         let length = (value.len() as u32).to_le_bytes();
         bytes.extend([name.as_bytes(), &[0], kind.as_bytes(), &[0], &length, value].concat());
     };
-    // 32-bit floats of every pixel, eight times.
+    // Eight channels of 32-bit floats per pixel.
     let channel = |name: char| [&[name as u8, 0][..], &[2_i32, 0, 1, 1].map(i32::to_le_bytes).concat()].concat();
     attribute("channels", "chlist", &[('a'..='h').flat_map(channel).collect(), vec![0]].concat());
     attribute("compression", "compression", &[3]);

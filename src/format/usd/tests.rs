@@ -11,7 +11,7 @@ fn assert_close(a: &Splats, b: &Splats) {
     assert_eq!((a.means(), a.sh_degree(), a.sh()), (b.means(), b.sh_degree(), b.sh()));
     assert_eq!(a.rotations(), b.rotations());
     for i in 0..a.len() {
-        // f32 has 24 bits: e^s and back moves s by 6e-8, plus its own rounding.
+        // f32 has 24 bits: applying exp and ln changes s by 6e-8, plus rounding.
         assert!((a.log_scales()[i] - b.log_scales()[i]).abs().max_element() < 1e-6);
         let opacity = |s: &Splats| 1.0 / (1.0 + (-f64::from(s.opacity_logits()[i])).exp());
         assert!((opacity(a) - opacity(b)).abs() <= 1e-6 * opacity(a), "{} {}", opacity(a), opacity(b));
@@ -64,14 +64,14 @@ fn round_trip() {
         assert!(!back.y_up && back.cameras.len() == cameras.len());
         for ((name, camera), (name_back, camera_back)) in cameras.iter().zip(&back.cameras) {
             assert_eq!((name, camera.intrinsics()), (name_back, camera_back.intrinsics()));
-            // `Camera::new` makes the rotation orthonormal once more.
+            // `Camera::new` orthonormalises the rotation again.
             assert!(camera.rotation().abs_diff_eq(camera_back.rotation(), 1e-14));
             assert_eq!(camera.translation(), camera_back.translation());
         }
     }
 }
 
-/// As where somebody has put a scene below a prim of theirs.
+/// As in a file where somebody has moved a scene below a prim of their own.
 #[test]
 fn the_rule_of_blending_may_stand_further_down() {
     let folder = tempfile::tempdir().unwrap();
@@ -147,7 +147,7 @@ fn a_package_is_aligned_stored_and_begins_with_its_layer() {
     }
 }
 
-/// One splat of degree 1, red towards +x, in centimetres, z up, below three prims that move it.
+/// One splat of degree 1, red towards +x, in a file in centimetres with z up, below three prims that transform it.
 const FOREIGN: &str = r#"(
     upAxis = "Z"
     metersPerUnit = 0.01
@@ -195,7 +195,7 @@ def PointInstancer "P" {
 def Mesh "hidden" { token visibility = "invisible" }
 "#;
 
-/// Pictures need its ratio to the focal length alone; Blender shows both in millimetres.
+/// Rendering depends only on the ratio of aperture to focal length, but Blender shows both in millimetres.
 #[test]
 fn sensors_are_as_wide_as_film() {
     let folder = tempfile::tempdir().unwrap();
@@ -213,7 +213,7 @@ fn sensors_are_as_wide_as_film() {
     assert!((millimetres("focalLength") - 36.0 * k.fx / f64::from(k.width)).abs() < 1e-5);
 }
 
-/// Theirs is y up, scenes are y down, and what is written of these stands upright again.
+/// Foreign files are y up and scenes y down; written again, they are upright.
 #[test]
 fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -238,7 +238,7 @@ def Camera "C" {
         assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
         let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
         assert_eq!(file.scene.meshes[0].positions(), expected);
-        // It looked along −z with y up; now that is z, with y down.
+        // The camera looked along −z with y up; in the scene it looks along z with y down.
         let camera = file.cameras[0].1;
         assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
         assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
@@ -250,7 +250,7 @@ def Camera "C" {
         write_scene(&at(name), &theirs.scene, &options).unwrap();
         check(&at(name), false);
     }
-    // Programs that do not know our frame see it where theirs was.
+    // Programs that do not know our frame see the scene where the original was.
     let ours = std::fs::read_to_string(at("a.usda")).unwrap();
     let seen = ours.replace("\"capture\"", "\"theirs\"");
     assert_ne!(seen, ours);
@@ -263,11 +263,12 @@ fn units_axes_and_nested_transforms_are_applied() {
     let file = read_text(FOREIGN);
     assert!(file.y_up && file.scene.meshes.is_empty() && file.cameras.len() == 1);
     let splats = &file.scene.splats;
-    // Scaled (20, 40, 60), turned about z (−40, 20, 60), moved (60, 20, 60), in metres, y down.
+    // Scaled (20, 40, 60), rotated about z (−40, 20, 60), moved (60, 20, 60), then in metres with y down.
     assert!(splats.means()[0].abs_diff_eq(Vec3::new(0.6, -0.6, 0.2), 1e-6), "{}", splats.means()[0]);
     let scales = splats.log_scales()[0].exp();
     assert!(scales.abs_diff_eq(Vec3::new(0.02, 0.04, 0.06), 1e-7), "{scales}");
-    // The local x axis points along y of the file, which is z here; the local z axis along z, which is −y.
+    // The local x axis points along y of the file, which is z in the scene; the local z axis along z of the file, which
+    // is −y.
     let axes = [Vec3::X, Vec3::Z].map(|axis| splats.rotations()[0] * axis);
     assert!(axes[0].abs_diff_eq(Vec3::Z, 1e-6) && axes[1].abs_diff_eq(-Vec3::Y, 1e-6), "{axes:?}");
     let red = |d: DVec3| -> f64 {
@@ -275,7 +276,7 @@ fn units_axes_and_nested_transforms_are_applied() {
         splats.sh_of(0).iter().zip(basis).map(|(c, y)| f64::from(c[0]) * y).sum()
     };
     assert!(red(DVec3::Z) > 0.48 && red(DVec3::X).abs() < 1e-6 && red(DVec3::Y).abs() < 1e-6);
-    // Too few opacities are none.
+    // With too few opacities, the opacity is taken as 1.
     assert!(splats.opacity_logits()[0] > 16.0);
 
     let (name, camera) = &file.cameras[0];
@@ -286,7 +287,7 @@ fn units_axes_and_nested_transforms_are_applied() {
         close(k.fx, 1440.0) && close(k.fy, 1440.0) && close(k.cx, 0.4 * 2160.0) && close(k.cy, 0.4 * 1080.0),
         "{k:?}"
     );
-    // It stands two metres up and looks down; its right is x.
+    // The camera is two metres up and looks down; its right axis is x.
     assert!(camera.center().abs_diff_eq(-2.0 * DVec3::Y, 1e-9));
     assert!(camera.to_camera(DVec3::ZERO).abs_diff_eq(2.0 * DVec3::Z, 1e-9));
     assert!((camera.rotation() * DVec3::X).abs_diff_eq(DVec3::X, 1e-9));
@@ -304,7 +305,7 @@ fn units_axes_and_nested_transforms_are_applied() {
     );
 }
 
-/// As usdcat makes of what we wrote.
+/// From a file that usdcat made of one that we wrote.
 #[test]
 fn the_record_of_the_training_is_read_from_binary_too() {
     let at = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/usd").join(name);
@@ -315,7 +316,8 @@ fn the_record_of_the_training_is_read_from_binary_too() {
     }
 }
 
-/// Of faces counter-clockwise from their front: neither a mirror nor a left hand makes that their back, but both do not undo it twice.
+/// Winding is counter-clockwise as seen from the front: a mirror or a left-handed orientation alone reverses it, both
+/// together do not.
 #[test]
 fn the_front_of_a_face_stays_its_front() {
     for (orientation, scale, expected) in [
@@ -345,7 +347,7 @@ def Mesh "T" {{
     }
 }
 
-/// Of the second face, and of one that is not there.
+/// Holes are excluded, both for an existing face and for an index beyond the faces.
 #[test]
 fn holes_are_no_faces() {
     let mesh = |holes: &str| {
@@ -376,7 +378,7 @@ def Material "Red" {{}}
     );
 }
 
-/// Not what we write, nor what programs sign every file of theirs with.
+/// Notes exclude data that we write ourselves, and data that programs add to all of their files.
 #[test]
 fn what_others_added_is_named() {
     let text = |own: &str, custom: &str| {
@@ -418,7 +420,7 @@ fn concave_polygons_keep_their_area() {
     let mesh = &file.scene.meshes[0];
     let corners = mesh.triangles().iter().map(|t| t.map(|v| mesh.positions()[v as usize]));
     let areas: Vec<f32> = corners.map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).collect();
-    // A stage is in centimetres if nothing is said.
+    // A stage without metersPerUnit is in centimetres.
     let unit = mesh.positions()[1].length() / 2.0;
     assert!((areas.iter().sum::<f32>() / (unit * unit) - 2.5).abs() < 1e-5, "{areas:?}");
 }

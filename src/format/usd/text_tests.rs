@@ -1,4 +1,4 @@
-//! Text to document and back.
+//! Conversion of text to a document and back.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fn refusal(text: &str) -> String {
     parse(text.as_bytes()).unwrap_err().in_file(Path::new("f")).to_string()
 }
 
-/// A float of any bits but NaN, which equals nothing.
+/// Any float except NaN, which is not equal to itself.
 fn single() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits).prop_filter("equal to itself", |v| !v.is_nan())
 }
@@ -133,7 +133,7 @@ fn properties() -> impl Strategy<Value = Vec<Property>> {
             let uniform = uniform && matches!(kind, PropertyKind::Attribute { .. });
             Property { name, custom, uniform, kind, metadata }
         });
-    // Statements about one attribute become one property, so that names must differ.
+    // All statements about an attribute form one property, so names must differ.
     prop::collection::vec(property, 0..4).prop_map(|mut all| {
         all.iter_mut().enumerate().for_each(|(i, p)| p.name = format!("{}{i}", p.name));
         all
@@ -170,7 +170,7 @@ proptest! {
     fn what_is_printed_is_parsed(metadata in fields(), prims in prop::collection::vec(prim(), 0..3)) {
         let layer = Layer { metadata, prims };
         let printed = text(&layer);
-        // Zeros of both signs are equal; that text is, too, tells them apart.
+        // Zeros of either sign compare equal; comparing the text as well tells them apart.
         prop_assert_eq!(text(&parsed(&printed)), printed.clone());
         prop_assert_eq!(parsed(&printed), layer, "{}", printed);
     }

@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(at("translateY", &[5.0]), DVec3::new(1.0, 7.0, 3.0));
         assert_eq!(at("scaleZ", &[2.0]), DVec3::new(1.0, 2.0, 6.0));
         assert_eq!(at("rotateX", &[-90.0]), DVec3::new(1.0, 3.0, -2.0));
-        // x first: (1, 2, 3) → (1, −3, 2) → about y (2, −3, −1).
+        // Rotation about x first: (1, 2, 3) → (1, −3, 2), then about y: (2, −3, −1).
         assert_eq!(at("rotateXYZ", &[90.0, 90.0, 0.0]), DVec3::new(2.0, -3.0, -1.0));
         assert_eq!(at("rotateZYX", &[90.0, 90.0, 0.0]), DVec3::new(3.0, 1.0, 2.0));
         assert!(at("orient", &[0.5f64.sqrt(), 0.5f64.sqrt(), 0.0, 0.0]).abs_diff_eq(DVec3::new(1.0, -3.0, 2.0), 1e-12));

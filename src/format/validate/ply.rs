@@ -185,7 +185,8 @@ mod tests {
         findings.0
     }
 
-    /// Codes of 200 splats in which `change` is made to each row: x y z, normal, colour, opacity, scales, rotation.
+    /// Codes found for 200 splats after `change` is applied to each row: x y z, normal, colour, opacity, scales,
+    /// rotation.
     fn codes(change: impl Fn(usize, &mut [f32])) -> Vec<(&'static str, Severity)> {
         let mut file = written(200);
         let body = file.len() - 200 * COLUMNS * 4;
@@ -213,7 +214,7 @@ mod tests {
             [("PLY_NOT_FINITE", Error)]
         );
         assert_eq!(codes(|_, row| row[11] = f32::INFINITY), [("PLY_NOT_FINITE", Error)]);
-        // Of a normal, and of others by their names.
+        // In a normal, and in other properties by name.
         assert_eq!(codes(|_, row| row[4] = f32::NAN), [("PLY_NOT_FINITE", Warning)]);
         let mut file = written(1);
         let body = file.len() - COLUMNS * 4;
@@ -267,7 +268,7 @@ mod tests {
         assert_eq!(code(&header.replace("nx", "ny"), body), "PLY_PROPERTY_TWICE");
         assert_eq!(code(&header.replace("rot_2", "rotation_2"), body), "PLY_PROPERTY_MISSING");
         assert_eq!(code(&header.replace("nx", "f_rest_0"), body), "PLY_SH_COUNT");
-        // Read with a note.
+        // Accepted with a note.
         let put_up_with = |header: &str, body: &[u8], code: &str| {
             let found = findings(&[header.as_bytes(), body].concat());
             assert!(found.len() == 1 && (found[0].code, found[0].severity) == (code, Severity::Warning), "{found:?}");

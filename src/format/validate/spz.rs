@@ -153,18 +153,18 @@ mod tests {
             let Packed { mut header, streams, .. } = decode(&written(version)).map_err(|_| ()).unwrap();
             header.flags = 0x1 | 0x80;
             assert_eq!(only(&encode(&header, &streams).unwrap()), ("SPZ_FLAGS", "0x81".to_owned()), "{version:?}");
-            // It may have none.
+            // An extension is optional.
             header.flags = 0x2;
             assert_eq!(findings(&encode(&header, &streams).unwrap()), []);
         }
-        // Within the gzip.
+        // Damage within the gzip content.
         let mut content = vec![];
         flate2::read::GzDecoder::new(written(Version::V3).as_slice()).read_to_end(&mut content).unwrap();
         content.extend([0; 5]);
         let mut gzip = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
         gzip.write_all(&content).unwrap();
         assert_eq!(only(&gzip.finish().unwrap()), ("SPZ_LENGTH", "5".to_owned()));
-        // A record of 8 bytes and a few more.
+        // A record of 8 bytes followed by a few more.
         content.truncate(content.len() - 5);
         content[14] = 0x2;
         content.extend([9, 0, 0, 0, 1, 0, 0, 0, 42, 1, 2, 3]);

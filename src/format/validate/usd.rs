@@ -26,7 +26,7 @@ mod tests {
 
     const POINTS: &str = "point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0.5)]";
 
-    /// Two triangles and what else is said of them.
+    /// Two triangles with further attributes.
     fn mesh(points: &str, more: &str) -> String {
         format!(
             "(\n metersPerUnit = 1\n)\ndef Mesh \"m\" {{\n {points}\n int[] faceVertexCounts = [3, 3]\n \
@@ -43,7 +43,7 @@ mod tests {
         )
     }
 
-    /// Severity, code, place and what was found of each finding.
+    /// Severity, code, place and content of each finding.
     fn findings(text: &str) -> Vec<String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.usda");
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(counted(&indexed("0, 1, 0, 1, 1, 0")), Vec::<String>::new());
         assert_eq!(counted(&indexed("0, 1, 0")), ["Error USD_COUNT /m.primvars:st:indices: 3"]);
         assert_eq!(counted(&indexed("0, 1, 2, 0, 0, 0")), ["Error USD_COUNT /m.primvars:st:indices: 2"]);
-        // What no reader here uses.
+        // Attributes that no reader here uses.
         let more = "normal3f[] normals = [(0, 0, 1)]\n string[] primvars:names = [\"a\", \"b\"] (interpolation = \"vertex\")\n \
                     float[] primvars:pairs = [1, 2, 3, 4] (\n elementSize = 2\n interpolation = \"uniform\"\n )";
         let expected = ["Error USD_COUNT /m.normals: 1", "Error USD_COUNT /m.primvars:names: 2"];
@@ -119,7 +119,7 @@ mod tests {
         assert_eq!(of_splats("(-0.6, -0.6, -0.6), (1.6, 2.6, 0.6)"), none);
         assert_eq!(of_splats("(0, 0, 0), (1, 1, 0)"), ["Error USD_EXTENT /s.extent"]);
         assert_eq!(of_splats("(-9, -9, -9), (9, 9, 9)"), ["Warning USD_EXTENT /s.extent"]);
-        // Each time has its own.
+        // Each time sample has its own positions.
         let moving = "point3f[] points.timeSamples = { 1: [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], \
                       2: [(0, 0, 5), (1, 0, 5), (1, 1, 5), (0, 1, 5)] }";
         let at_two = |extent: &str| {
@@ -138,7 +138,7 @@ mod tests {
             usd::write(&path, &random_scene(40, 2, 2, seed), &[("c".to_owned(), camera())], None).unwrap();
             assert_eq!(validate(&path).unwrap().findings, []);
         }
-        // The reader asks for a value that is not there.
+        // The reader needs a value that is missing.
         let text = "texCoord2f[] primvars:st = [(0, 0)] (interpolation = \"faceVarying\")";
         assert_eq!(findings(&mesh(POINTS, text)), ["Error USD_COUNT /m.primvars:st: 1"]);
         let text = "int[] faceVertexIndices = [0, 1, 9]";

@@ -154,14 +154,15 @@ mod tests {
         render::gpu::{rows::Source, state::Geometry},
     };
 
-    const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean of exactly the threshold
+    const HOT: [f32; 4] = [4e-4, 2.0, 1.0, 1.0]; // a mean gradient of exactly the threshold
     const COLD: [f32; 4] = [3.9e-4, 2.0, 1.0, 1.0];
 
     fn set_scale(s: &mut Arrangement, i: usize, scale: [f32; 3]) {
         s.edit(i, |g| g.log_scale = Vec3::from(scale).ln());
     }
 
-    /// Of `before` splats at their places: how many have a copy now, have become two smaller ones, and are gone.
+    /// Of the first `before` splats: how many were cloned, how many were split into two smaller ones, and how many were
+    /// removed.
     fn fates(before: usize, splats: &Arrangement) -> [usize; 3] {
         let sources = splats.sources().iter().copied();
         let (kept, new): (Vec<Source>, Vec<Source>) =
@@ -181,7 +182,7 @@ mod tests {
         let before = s.clone();
         densify(&mut s, Statistics(&[HOT, HOT, COLD, COLD, HOT, HOT]), &InriaOptions::new(1.001, 1000), 600, 7);
         assert_eq!(fates(6, &s), [2, 1, 1]);
-        // 0, 2, 3, 4 survive; clones of 0 and 4; two children of 1.
+        // Splats 0, 2, 3 and 4 survive; clones of 0 and 4; two children of 1.
         assert_eq!(s.len(), 8);
         let moments = rearranged(&state(6, 1), &s).geometry_m;
         for (now, then) in [(0, 0), (1, 2), (2, 3), (3, 4), (4, 0), (5, 4)] {
@@ -205,12 +206,12 @@ mod tests {
         for i in [0, 1] {
             set_scale(&mut s, i, [0.0009; 3]);
         }
-        // Two views; a mean gradient of 2e-4 or nothing, an absolute one of 4e-4 or less.
+        // Two views; a mean gradient of 2e-4 or zero, an absolute gradient of 4e-4 or less.
         let (mean, absolute) = ([4e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 8e-4]);
         let rows = [mean, absolute, absolute, mean];
         densify(&mut s, Statistics(&rows), &InriaOptions::absolute(1.0, 100), 600, 7);
         assert_eq!(fates(4, &s), [1, 1, 0]);
-        // With room for one, the stronger urge: the one that is split.
+        // With room for one, the splat with the stronger gradient, which is split.
         let mut s = arrangement(2);
         set_scale(&mut s, 0, [0.0009; 3]);
         let rows = [[6e-4, 2.0, 1.0, 0.0], [0.0, 2.0, 1.0, 16e-4]];
@@ -234,11 +235,11 @@ mod tests {
         for child in 0..2 * n {
             let offset = s.row(child).mean - before.row(child / 2).mean;
             let sigmas = rotation.inverse() * offset / scale;
-            // f32 keeps 1e-4 of a unit at coordinates of up to 2000.
+            // f32 resolves 1e-4 of a unit at coordinates of up to 2000.
             assert!(sigmas.length() <= 3.0 + 2e-4 / 0.02, "{sigmas}");
             squares += sigmas * sigmas;
         }
-        // Unit variance, less what the limit of 3 σ takes (2 %), ± 5 standard errors.
+        // Unit variance, less the 2 % that the limit of 3 σ removes, ± 5 standard errors.
         let variance = squares / (2 * n) as f32;
         assert!((variance - 0.98).abs().max_element() < 0.12, "{variance}");
     }
@@ -249,8 +250,8 @@ mod tests {
         s.set_opacity(0, 0.0049);
         s.set_opacity(1, 0.0051);
         set_scale(&mut s, 2, [0.101, 0.01, 0.01]);
-        set_scale(&mut s, 3, [0.15, 0.01, 0.01]); // its children have 0.094
-        set_scale(&mut s, 4, [0.17, 0.01, 0.01]); // its children would have 0.106
+        set_scale(&mut s, 3, [0.15, 0.01, 0.01]); // its children have a scale of 0.094
+        set_scale(&mut s, 4, [0.17, 0.01, 0.01]); // its children would have a scale of 0.106
         let rows = [COLD, COLD, COLD, HOT, HOT];
         let options = InriaOptions::new(1.0, 100).pruning_large();
         let mut early = s.clone();
@@ -274,7 +275,7 @@ mod tests {
         // 89 to 98 grow: odd ones have a clone, even ones are gone for their children.
         let near = |x: f32| (0..s.len()).filter(|&i| (s.row(i).mean.x - x).abs() < 1e-6).count();
         assert_eq!([86.0, 87.0, 88.0, 89.0, 90.0, 97.0, 98.0].map(near), [1, 1, 1, 2, 0, 2, 0]);
-        // Already above the cap: nothing grows.
+        // Already above the cap, so nothing grows.
         let before = s.clone();
         densify(&mut s, Statistics(&[HOT; 109]), &InriaOptions::new(1.0, 50), 700, 7);
         assert_eq!(s, before);

@@ -299,13 +299,13 @@ mod tests {
         epoch
     }
 
-    /// Of `before` splats at their places: how many are copies of others now, and how many have been added.
+    /// Of the first `before` splats, how many are now copies of others; and how many splats were added.
     fn relocated_and_added(before: usize, s: &Arrangement) -> (usize, usize) {
         let relocated = s.sources()[..before].iter().enumerate().filter(|(i, source)| source.splat() != *i).count();
         (relocated, s.len() - before)
     }
 
-    /// However much of all there is to see one of them shows.
+    /// However large its share of the total score.
     #[test]
     fn no_splat_becomes_more_than_51() {
         let mut scores = vec![1.0; 1000];
@@ -313,7 +313,7 @@ mod tests {
         let mut rng = random::generator(1, Purpose::Density, 600);
         let drawn = sample(&scores, 400, &mut rng);
         assert_eq!((drawn.len(), drawn.iter().filter(|i| **i == 3).count()), (400, MAX_COPIES - 1));
-        // Nor do all of them together.
+        // The limit also holds for all splats together.
         assert_eq!(sample(&[1.0, 0.0, 2.0], 1000, &mut rng).len(), 2 * (MAX_COPIES - 1));
         assert!(sample(&[0.0; 3], 10, &mut rng).is_empty());
     }
@@ -333,7 +333,7 @@ mod tests {
     fn copies_blend_to_what_their_source_was_along_a_line() {
         for (opacity, copies) in [(0.9_f64, 2), (0.5, 3), (0.99, 20), (0.1, 51)] {
             let (each, scale) = relocation(opacity, copies);
-            // ∫ 1 − (1 − o′·G(x))ᴺ dx by the trapezoid rule, which is exact to rounding for such functions.
+            // ∫ 1 − (1 − o′·G(x))ᴺ dx by the trapezoid rule, which is exact up to rounding for such functions.
             let step = 0.01;
             let integral: f64 = (-1000..=1000)
                 .map(|i| f64::from(i) * step / scale)
@@ -369,7 +369,7 @@ mod tests {
         let mean = |s: &Arrangement, i: usize| s.row(i).mean.as_dvec3();
         let center = (0..n).map(|i| mean(&s, i)).sum::<DVec3>() / n as f64;
         assert!(center.distance(mean(&before, 4)) < 1e-6);
-        // The axes of its quaternion, 0.8 + 0.6 j.
+        // Axes of the quaternion 0.8 + 0.6 j.
         let axes = [DVec3::new(0.28, 0.0, -0.96), DVec3::Y, DVec3::new(0.96, 0.0, 0.28)];
         for (k, axis) in axes.into_iter().enumerate() {
             let apart = (0..n).map(|i| (mean(&s, i) - center).dot(axis).powi(2)).sum::<f64>() / n as f64;
@@ -388,7 +388,7 @@ mod tests {
         assert!(after.geometry_m.iter().chain(&after.sh_v).all(|&v| v == 0.0));
     }
 
-    /// Of twins as opaque as can be, and of one that is far smaller than what smooths it, too.
+    /// Also for twins of the highest opacity, and for twins far smaller than their smoothing.
     #[test]
     fn twins_keep_what_there_is_of_them_along_a_line() {
         for (opacity, smoothing, expected) in [(0.3, 0.0, 0.375), (0.995, 0.0, 0.995), (0.3, 1.0, 0.6)] {
@@ -429,7 +429,7 @@ mod tests {
         assert_eq!(few.len(), 6);
     }
 
-    /// In few steps faster than by a twentieth, in many no slower, and never more than twofold.
+    /// Growth per step is larger than a twentieth if there are few steps, never smaller, and never more than twofold.
     #[test]
     fn arrives_at_the_number_that_is_asked_for() {
         for (steps, cap, expected) in [(4, 1000, 1000), (60, 1000, 1000), (2, 1000, 400), (0, 1000, 200), (3, 50, 100)]
@@ -447,7 +447,8 @@ mod tests {
         assert_eq!(McmcOptions::new(1000, false).arriving_in(1000, 100), McmcOptions::new(1000, false));
     }
 
-    /// A splat that is smoothed to nothing is dead, and one of which smoothing leaves an eighth gets an eighth of the copies, whatever its logit.
+    /// A splat that smoothing makes invisible is dead, and one that keeps an eighth of its opacity gets an eighth of
+    /// the copies, whatever its logit.
     #[test]
     fn splats_are_judged_as_they_are_seen() {
         let n = 2000;
@@ -487,7 +488,7 @@ mod tests {
         let mut s = arrangement(8);
         let mut epoch = EpochWeight::default();
         epoch.add(Statistics(&rows), 60);
-        // Of 60 views in 60 iterations some may be in none, of 119 none.
+        // In 60 iterations over 60 views some views may not occur; in 119 iterations all occur.
         relocate_and_add(&mut s, &mut epoch, 60, &options, 600, 1);
         assert_eq!(relocated_and_added(8, &s), (0, 0));
         epoch.add(Statistics(&rows), 60);
@@ -508,7 +509,7 @@ mod tests {
         rows[5] = [0.0; 4];
         let mut epoch = EpochWeight::default();
         let mut s = arrangement(8);
-        // Five epochs of 60 views are in any 359 iterations.
+        // Any 359 iterations contain five full epochs of 60 views.
         for (iterations, relocated) in [(300, 0), (59, 1)] {
             epoch.add(Statistics(&rows), iterations);
             relocate_and_add(&mut s, &mut epoch, 60, &of(0.2), 600, 1);
@@ -516,12 +517,12 @@ mod tests {
         }
     }
 
-    /// By their opacity, however much of the pictures they fill.
+    /// Copies are drawn by opacity, independently of the splats' size in pictures.
     #[test]
     fn with_a_mesh_copies_go_to_what_is_shown() {
         let n = 4000;
         let rows: Vec<_> = (0..n).map(|i| [0.0, 2.0, [4.0, 4000.0, 0.0, 4e-4][i % 4], 1.0]).collect();
-        // Less than an epoch: nothing is dead yet.
+        // Less than an epoch: no splat is dead yet.
         let options = McmcOptions { growth: 1.25, ..McmcOptions::new(5000, true) };
         let (mut s, mut epoch) = (arrangement(n), EpochWeight::default());
         epoch.add(Statistics(&rows), 60);
@@ -532,7 +533,7 @@ mod tests {
         // Five standard errors of a binomial distribution: 80.
         assert_eq!((copies[0] + copies[1], &copies[2..]), (1000, [0, 0].as_slice()));
         assert!((420..580).contains(&copies[0]), "{copies:?}");
-        // Nothing was seen: all are alike.
+        // Nothing was seen: all splats are equal.
         let mut s = arrangement(40);
         run(&mut s, &[[0.0; 4]; 40], &McmcOptions::new(50, true), 1);
         assert_eq!(relocated_and_added(40, &s), (0, 0), "all are dead after an epoch");

@@ -1,4 +1,4 @@
-//! Which checkpoints a run takes for its own.
+//! Which checkpoints a run accepts as its own.
 
 use super::*;
 use crate::optimize::Density;
@@ -23,13 +23,14 @@ fn input() -> Input {
     }
 }
 
-/// Why a run of this input and these options does not take a checkpoint of such, after `change` of what is in the file.
+/// Reason why a run with the input and options `now` refuses a checkpoint of those `before`, after `change` edits the
+/// file's metadata.
 fn refusal(
     (before, now): (&Input, &Input),
     options: (&TrainOptions, &TrainOptions),
     change: impl FnOnce(&mut Value),
 ) -> Option<String> {
-    // By way of text, as in a file.
+    // Converted to text and back, as in a file.
     let text = json!({ "input": before, "options": options.0 }).to_string();
     let mut meta = serde_json::from_str(&text).unwrap();
     change(&mut meta);
@@ -71,7 +72,7 @@ fn a_run_takes_checkpoints_of_its_own_input_alone() {
     assert!(after(|i| i.mesh = InputMesh::Points).is_some_and(|said| said.contains("that was points and is given")));
 }
 
-/// Nor is one taken whose input cannot be told.
+/// A checkpoint whose input cannot be identified is refused.
 #[test]
 fn an_input_that_is_damaged_is_no_input() {
     let (own, options) = (input(), TrainOptions::default());
@@ -103,7 +104,7 @@ fn options_that_matter_are_those_of_the_checkpoint() {
         let said = said(before, now).unwrap_or_default();
         assert_eq!(said, format!("expected a checkpoint of a run with the same options, but {expected}"));
     }
-    // What is not written otherwise is another all the same: NaN is null, as infinity.
+    // Values that are written alike can still differ: NaN is null, and so is infinity.
     let unknown = TrainOptions { lambda: f32::NAN, ..d() };
     assert_eq!(
         changed_option(&unknown, &TrainOptions { lambda: f32::INFINITY, ..d() }).as_deref(),

@@ -124,10 +124,10 @@ mod tests {
         scene::{HybridScene, Intrinsics, Splats},
     };
 
-    /// Radius of the ground, which is all that is near.
+    /// Radius of the ground, which is the only near object.
     const GROUND: f64 = 1.5;
 
-    /// What is seen from `origin`: the ground, or the sky, by direction alone.
+    /// Colour and hit point seen from `origin`: the ground, or the sky, which depends on direction alone.
     fn seen(origin: DVec3, direction: DVec3) -> ([f64; 3], Option<DVec3>) {
         let t = -origin.z / direction.z;
         let hit = origin + t * direction;
@@ -144,7 +144,7 @@ mod tests {
         (0..k.width * k.height).map(move |i| seen(camera.center(), camera.rotation().transpose() * camera.ray(at(i))))
     }
 
-    /// 96 views around a round ground under a sky, with points on the ground.
+    /// Capture of 96 views around a round ground under a sky, with points on the ground.
     fn under_a_sky(folder: &Path) -> Capture {
         let intrinsics = Intrinsics { width: 64, height: 48, fx: 48.0, fy: 48.0, cx: 32.0, cy: 24.0 };
         let mut frames = vec![];
@@ -184,7 +184,7 @@ mod tests {
         capture
     }
 
-    /// What a mesh alone shows of the sky in held-out views: mean absolute difference from it.
+    /// Mean absolute error of the sky in held-out views if the mesh alone is rendered.
     fn sky_error(scene: &HybridScene, capture: &Capture) -> f64 {
         let scene = HybridScene { splats: Splats::empty(0), ..scene.clone() };
         let (mut sum, mut count) = (0.0, 0.0);
@@ -227,7 +227,7 @@ mod tests {
         assert!(with.shell_triangles > 50, "{}", with.shell_triangles);
         assert_eq!(without.shell_triangles, 0);
         assert!(errors[0] < 0.2 * errors[1], "{errors:?}");
-        // Splats learn such a sky, too.
+        // Splats can learn such a sky too.
         assert!(found[0].1 > found[1].1 - 1.0, "{found:?}");
     }
 }

@@ -51,14 +51,14 @@ mod tests {
     #[test]
     fn what_is_better_stays_and_something_in_any_case() {
         let kept = |advantage: &[f64], most| {
-            // What has neither gained nor lost is not seen.
+            // A splat without gain or loss counts as unseen.
             let seen: Vec<bool> = advantage.iter().map(|a| *a != 0.0).collect();
             let keep = super::kept(advantage, &seen, most);
             (0..keep.len()).filter(|&i| keep[i]).collect::<Vec<_>>()
         };
         assert_eq!(kept(&[-1.0, 2.0, 0.0, 3.0, 1.0], 9), [1, 3, 4]);
         assert_eq!(kept(&[-1.0, 2.0, 0.0, 3.0, 1.0], 2), [1, 3]);
-        // A mesh that is better than all leaves the best of those that are seen.
+        // If the mesh is better than all splats, the best of the seen ones are kept.
         let mut worse = vec![-2.0; 150];
         (worse[7], worse[9], worse[11]) = (-0.5, 0.0, -0.25);
         assert_eq!((kept(&worse, 150), kept(&worse, 1), kept(&worse, 0)), (vec![7, 11], vec![11], vec![]));

@@ -72,7 +72,7 @@ mod tests {
     use super::*;
     use crate::capture::LoadOptions;
 
-    /// Scores of a run that goes on with another split would be of views that it has learnt from.
+    /// A run resumed with another split would be scored on views that it was trained on.
     #[test]
     fn runs_are_told_by_their_split_and_lens() {
         let folder = tempfile::tempdir().unwrap();
@@ -94,7 +94,7 @@ mod tests {
         };
         let usual = of("a.png", 0.01);
         assert_eq!(of("a.png", 0.01), usual);
-        // Both lenses leave pictures of one size and pinhole.
+        // With either lens the pictures have the same size and pinhole camera.
         assert!(of("b.png", 0.01) != usual && of("a.png", 0.02) != usual);
     }
 }

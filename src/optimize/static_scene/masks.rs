@@ -71,8 +71,8 @@ mod tests {
 
     #[test]
     fn masks_are_kept_by_the_bit() {
-        // 9 pixels to a row, so that rows do not begin with a number.
-        // Black is what JPEG leaves of it.
+        // 9 pixels per row, so that rows do not begin with a word of the bit mask.
+        // Masked pixels are 3, not 0, as JPEG may leave black.
         let alpha = |pixel: usize| if pixel % 7 == 3 { 200 } else { 3 };
         let rgba: Vec<u8> = (0..9 * 20).flat_map(|pixel| [0, 0, 0, alpha(pixel)]).collect();
         let photo = Photo { width: 9, height: 20, rgba, has_alpha: false, masked: true };

@@ -84,7 +84,7 @@ mod tests {
         render::gpu::Gpu,
     };
 
-    /// Who moves the capture by hand has the same scene, to the last bit.
+    /// Moving the capture by hand gives the same scene, to the last bit.
     #[test]
     fn runs_far_away_are_those_around_the_origin() {
         let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
@@ -104,7 +104,7 @@ mod tests {
         assert_eq!(run(&far).scene.splats, by_hand.scene.splats);
     }
 
-    /// Of a panorama without points nothing but its cameras, which rounding sets apart, says how large it is.
+    /// For a panorama without points, its size could only come from the camera positions, which differ by rounding.
     #[test]
     fn a_tripod_far_away_is_in_one_place_still() {
         let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
@@ -133,7 +133,7 @@ mod tests {
         assert!(mean.length() < 1e-9 && Origin::of(&moved).unwrap().is_none());
         let apart = |capture: &Capture| capture.points[0].position.distance(capture.views[0].camera.center());
         assert!((apart(&moved) - apart(&near)).abs() < 1e-9);
-        // Vertices that nobody moves, and are far away along each axis, come back to the bit.
+        // Vertices that are far away along each axis and are not moved by training come back bit-identical.
         let positions: Vec<Vec3> = far.points.iter().map(|point| point.position.as_vec3()).collect();
         let surface = Surface { positions: positions.clone(), triangles: vec![[0, 1, 2]] };
         let MeshSource::Given { surface, .. } = origin.mesh(MeshSource::Given { surface, corner_uvs: None }) else {

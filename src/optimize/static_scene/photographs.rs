@@ -119,7 +119,8 @@ mod tests {
     use super::*;
     use crate::capture::{self, Downscale, LoadOptions};
 
-    /// Smaller pictures, which are what steps want then, all have their place, and whole ones again when they are wanted.
+    /// While steps use smaller pictures, all of these are cached; once steps use whole pictures, these are cached
+    /// again.
     #[test]
     fn what_steps_want_is_kept() {
         let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
@@ -131,7 +132,7 @@ mod tests {
             let photos = capture.views.iter().map(|view| cache.get(view).unwrap());
             photos.map(|photo| photo.rgba.len()).sum::<usize>()
         };
-        // Room for all of both, for all of one, and for a part.
+        // A budget for all pictures of both sizes, for all of one size, and for a part.
         for budget in [2 * whole, whole, whole / 2] {
             let mut photos = Photographs::within(budget, &capture, &all, std::iter::empty()).unwrap();
             let is_full = photos.cache.bytes();

@@ -225,7 +225,7 @@ mod tests {
     use super::*;
     use crate::scene::Texture;
 
-    /// Two separate strips of `n` squares each, the second half as wide, every triangle with its own texels.
+    /// Two separate strips of `n` squares each, the second half as wide; every triangle has its own texels.
     fn strips(n: u32) -> Mesh {
         let (mut positions, mut triangles, mut uvs) = (vec![], vec![], vec![]);
         for (strip, width) in [(0, 1.0), (1, 0.5)] {
@@ -257,7 +257,7 @@ mod tests {
         let errors = smoothed(&mesh, &scores);
         assert!(errors[9][0] < 2.0 && errors[9][0] > errors[30][0], "{errors:?}");
         assert!(errors.iter().all(|e| (e[1] - 1.0).abs() < 1e-12));
-        // What is not connected does not count.
+        // Faces that are not connected have no influence.
         assert!(errors[20..].iter().all(|e| (e[0] - 1.0).abs() < 1e-12));
     }
 
@@ -274,10 +274,10 @@ mod tests {
         };
         let few = [(0, 0.0), (1, 20.0), (3, 40.0), (9, 50.0)];
         assert_eq!(least(&few, &[], true), Some(1));
-        // Many small ones that single views catch say nothing of the large.
+        // Many small faces that single views see say nothing about the large ones.
         assert_eq!(least(&[(1, 1.0), (1, 1.0), (1, 1.0), (5, 9.0)], &[], true), Some(2));
         assert_eq!((least(&[(1, 1.0)], &[], false), least(&[(0, 0.0)], &[], true)), (Some(2), Some(2)));
-        // Nor does the shell of the rest.
+        // Faces of the shell have no influence on the others.
         assert_eq!((least(&few, &[(9, 500.0)], true), least(&[(5, 9.0)], &[(1, 500.0)], true)), (Some(1), Some(2)));
         assert_eq!((least(&[], &[(1, 9.0)], true), least(&[], &[], true)), (None, None));
     }
@@ -289,13 +289,15 @@ mod tests {
             Atlas::new(Texture::zeros(side, side, 4), bands).unwrap()
         };
         let (plain, floats) = (atlas(512, None), Some(600_000));
-        // All of the pictures: .15 of 600,000 floats, four to a texel, are 150² texels; a fifth: .08 are 110².
+        // With the mesh in all of the pictures, .15 of 600,000 floats are 150² texels of four floats; in a fifth of
+        // them, .08 are 110².
         assert_eq!([1.0, 0.2].map(|share| side_for(1e6, share, &plain, floats)), [160, 96]);
-        // A band of nine floats to 16 texels of colour takes from the same part: 140².
+        // Bands of nine floats per 16 colour texels are taken from the same share: 140².
         assert_eq!(side_for(1e6, 1.0, &atlas(512, Some(128)), floats), 128);
-        // Where there is room, two texels to a pixel, of which charts cover three fifths: 20,000 are 258² texels.
+        // With enough room there are two texels per pixel, and charts cover three fifths: 20,000 pixels need 258²
+        // texels.
         assert_eq!((side_for(2e4, 1.0, &plain, None), side_for(2e4, 1.0, &plain, Some(10_000_000))), (256, 256));
-        // Neither more than there were nor too few for charts.
+        // Neither more texels than before, nor too few for charts.
         assert_eq!((side_for(1e9, 1.0, &plain, None), side_for(0.0, 0.0, &plain, floats)), (512, 64));
         assert_eq!(side_for(1.0, 1.0, &atlas(32, None), floats), 32);
     }
@@ -304,21 +306,21 @@ mod tests {
     fn small_pieces_go_whole_and_large_ones_stay() {
         let mesh = strips(10);
         let pixels = |f: usize| if f < 20 { 30.0 } else { 20.0 };
-        // Seen twice: 15 pixels a view and triangle on the first strip, 300 in all; 200 on the second.
+        // Seen twice: 15 pixels per view and triangle on the first strip, 300 in all; 200 on the second.
         let scores: Vec<Score> = (0..40).map(|f| Score { errors: [0.0; 2], pixels: pixels(f), views: 2 }).collect();
         let mut keep = vec![true; 40];
         drop_small(&mesh, &scores, &mut keep);
         assert!(keep[..20].iter().all(|k| *k) && !keep[20..].contains(&true), "{keep:?}");
-        // Cut in two, neither half of the first is large enough.
+        // Cut in two, neither half of the first strip is large enough.
         let mut keep: Vec<bool> = (0..40).map(|f| f != 10 && f != 11).collect();
         drop_small(&mesh, &scores, &mut keep);
         assert!(!keep.contains(&true), "{keep:?}");
     }
 
-    /// A run does not end where the charts of what is kept have no room: they had some before.
+    /// If there is no room for the charts of the kept triangles, the run continues with the old layout.
     #[test]
     fn what_cannot_be_laid_out_anew_stays_where_it_is() {
-        // One triangle to a texel, none beside another.
+        // One triangle per texel, with no two adjacent.
         let corner = |i: u32| Vec3::new(2.0 * (i % 64) as f32, 2.0 * (i / 64) as f32, 0.0);
         let positions = (0..64 * 64).flat_map(|i| [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| corner(i) + p)).collect();
         let triangles = (0..64 * 64).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
@@ -328,13 +330,13 @@ mod tests {
         let keep: Vec<bool> = (0..64 * 64).map(|f| f % 2 == 0).collect();
         let left = laid_out_anew(&mesh, &keep, None, 32, 0).unwrap();
         assert_eq!(left, mesh.with_triangles(&keep));
-        // Few have room.
+        // Few triangles fit.
         let keep: Vec<bool> = (0..64 * 64).map(|f| f < 4).collect();
         let left = laid_out_anew(&mesh, &keep, None, 64, 0).unwrap().unwrap();
         assert!(left.triangles().len() == 4 && Some(left) != mesh.with_triangles(&keep));
     }
 
-    /// Twice the side might be all of a small budget.
+    /// Doubling the side could exceed a small budget.
     #[test]
     fn maps_grow_little_more_than_charts_need() {
         let grown = |needed: u32, largest| {
@@ -348,7 +350,7 @@ mod tests {
         assert!(grown(101, 100).is_err());
     }
 
-    /// Also where a quarter of the side would be less.
+    /// Even if a quarter of the side would be less.
     #[test]
     fn the_band_map_is_as_large_as_when_it_was_made() {
         let mesh = strips(10);
@@ -374,7 +376,7 @@ mod tests {
             let position = center(t.map(|v| laid_out.positions()[v as usize]));
             let texel = (uvs[0] + uvs[1] + uvs[2]) / 3.0 * 128.0;
             let found = &base.texels()[4 * (texel.y as usize * 128 + texel.x as usize)..][..2];
-            // Within a texel of either atlas.
+            // Within one texel of either atlas.
             let expected = [position.x / 10.0, position.y / 4.0];
             assert!(found.iter().zip(expected).all(|(f, e)| (f - e).abs() < 0.03), "{found:?} {expected:?}");
         }

@@ -37,7 +37,8 @@ fn options() -> TrainOptions {
     }
 }
 
-/// Four views of 32×32 side by side, without points, of pictures that are this colour in column x, through a lens with radial distortion `k1`.
+/// A capture of four 32×32 views in a row, without points, with colour `color(x)` in column x, through a lens with
+/// radial distortion `k1`.
 fn in_a_row(folder: &Path, k1: f64, color: impl Fn(u32) -> image::Rgba<u8>) -> Capture {
     let frame = |i: u32| {
         let name = format!("{i}.png");
@@ -51,14 +52,14 @@ fn in_a_row(folder: &Path, k1: f64, color: impl Fn(u32) -> image::Rgba<u8>) -> C
     capture::open(folder, &LoadOptions::default()).unwrap()
 }
 
-/// A square of the demo's size at its middle.
+/// A square of the demo's size at its centre.
 fn square() -> MeshSource {
     let positions = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]].map(Vec3::from).to_vec();
     let surface = Surface { positions, triangles: vec![[0, 1, 2], [0, 2, 3]] };
     MeshSource::Given { surface, corner_uvs: None }
 }
 
-/// Sets a run up to its joint phase with the square above.
+/// Runs `test` on a run that is set up for its joint phase with [`square`] as mesh.
 fn with_run<T>(options: &TrainOptions, test: impl FnOnce(&mut Run, &mut Training, &HybridScene) -> T) -> T {
     let MeshSource::Given { surface, .. } = square() else { unreachable!() };
     with_mesh(surface, options, test)

@@ -98,7 +98,7 @@ mod tests {
             })
             .collect();
         let sights = TexelVisibility { size: [10, 4], texels, rays: 0 };
-        // Two mip levels there are of this map.
+        // This map has two mip levels above level 0.
         for (coarser, rim, last) in [(0, 2, 3), (0, 9, 6), (1, 9, 5), (3, 1, 2), (3, 9, 5)] {
             let hidden = hidden(&sights, &sights.reached(coarser, 9), rim);
             let expected: Vec<bool> = (0..10 * 4).map(|i| i % 10 <= last).collect();

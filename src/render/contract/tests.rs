@@ -3,7 +3,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// The rules of HERA's stable order, one by one.
+/// The rules of HERA's stable order, written out one by one.
 fn is_behind(z: f64, d: f64, sample: SurfaceDepth, lambda: f64) -> bool {
     if z - d > lambda {
         return true;
@@ -15,7 +15,7 @@ fn is_behind(z: f64, d: f64, sample: SurfaceDepth, lambda: f64) -> bool {
     }
 }
 
-/// Mode `SurfaceConsistent` by its definition: the nearest of all surfaces decides if it is within λ.
+/// Mode `SurfaceConsistent` by definition: the nearest of all surfaces decides if it is within λ.
 fn is_behind_surface_consistent(z: f64, d: f64, samples: &[SurfaceDepth], lambda: f64) -> bool {
     let nearest = samples
         .iter()
@@ -34,7 +34,7 @@ struct Case {
     lambda: f64,
 }
 
-/// Depths on a lattice of eighths plus, sometimes, a tie or a depth within the tie epsilon.
+/// Depths that are multiples of 1/8, in some cases with a tie or a depth within the tie epsilon.
 fn random_case(rng: &mut Pcg64Mcg) -> Case {
     let z = f64::from(rng.random_range(8..40)) / 8.0;
     let n = rng.random_range(1..=MAX_LAYERS);
@@ -66,7 +66,7 @@ fn thresholds_are_the_rules_of_stable_and_direct() {
         let stable = thresholds(OrderMode::Stable, z, &samples, lambda);
         let direct = thresholds(OrderMode::Direct, z, &samples, lambda);
         for (i, &d) in layers.iter().enumerate() {
-            // z − d > λ and d < z − λ may round differently.
+            // z − d > λ and d < z − λ can round differently.
             if (z - d - lambda).abs() > 1e-9 {
                 assert_eq!(d < stable[i], is_behind(z, d, samples[i], lambda), "{z} {d} {:?} {lambda}", samples[i]);
             }
@@ -83,8 +83,8 @@ fn threshold_is_the_nearest_sheet_rule() {
     let mut compared = 0;
     for _ in 0..400_000 {
         let Case { z, layers, samples, lambda } = random_case(&mut rng);
-        // With λ inside the tie epsilon the literal rule calls a depth between a surface and a mean tied to it
-        // "behind" although the surface itself is not: no threshold can say that, and nothing should.
+        // If λ is smaller than the tie epsilon, the literal rule calls a depth between a surface and a mean tied to it
+        // "behind" although the surface itself is not: no threshold can express that.
         let tied = |s: &SurfaceDepth| matches!(s, SurfaceDepth::Depth(x) if (0.0..=2e-5 * z).contains(&(z - x)));
         if lambda < 2e-5 * z && samples.iter().any(tied) {
             continue;
@@ -110,18 +110,18 @@ fn surface_depth_cases() {
     assert_eq!(sample(-0.01, 1.0, 1.0), Outside);
     assert_eq!(sample(4.0, 1.0, 1.0), Outside);
     assert_eq!(sample(1.0, 3.0, 1.0), Outside);
-    // The border is clamped, a flat part is exact.
+    // Coordinates are clamped at the border, and constant regions are exact.
     assert_eq!(sample(0.0, 0.0, 1.0), Depth(2.0));
     assert_eq!(sample(1.2, 2.9, 1.0), Depth(2.0));
-    // An edge of 3 within λ: 1/z is interpolated. Beyond λ: the nearer pixel decides.
+    // An edge of depth 3 within λ: 1/z is interpolated. Beyond λ the nearer pixel decides.
     let Depth(z) = sample(2.0, 1.5, 4.0) else { panic!("expected a depth") };
     assert!((z - 2.0 / (1.0 / 2.0 + 1.0 / 5.0)).abs() < 1e-12);
     assert_eq!(sample(1.9, 1.5, 1.0), Depth(2.0));
     assert_eq!(sample(2.1, 1.5, 1.0), Depth(5.0));
-    // Empty taps do not count, unless nothing else is there.
+    // Empty taps are ignored, unless all are empty.
     assert_eq!(sample(3.4, 1.5, 1.0), Depth(5.0));
     assert_eq!(sample(3.7, 1.5, 1.0), Empty);
-    // At an edge the nearest of all four taps decides, and it may be empty.
+    // At an edge the nearest of the four taps decides, and it can be empty.
     let corner = |[x, y]: [u32; 2]| [[0.0, 2.0], [5.0, 5.0]][y as usize][x as usize];
     assert_eq!(surface_depth(corner, [2, 2], DVec2::new(0.8, 0.8), 1.0), Empty);
 }
@@ -144,7 +144,7 @@ fn alpha_limits() {
     assert_eq!(splat_alpha(ALPHA_CUT * 0.999, 0.0), None);
     assert_eq!(splat_alpha(0.5, f64::NAN), None);
     assert_eq!(splat_extent(ALPHA_CUT * 0.999, DVec2::ONE), None);
-    // On the extent's ellipse alpha is the cut.
+    // On the boundary ellipse of the extent, alpha equals the cut-off.
     let e = splat_extent(0.7, DVec2::new(4.0, 9.0)).unwrap();
     assert!((0.7 * (-0.5 * e.x * e.x / 4.0_f64).exp() - ALPHA_CUT).abs() < 1e-15);
     assert!((e.y / e.x - 1.5).abs() < 1e-12);

@@ -161,7 +161,7 @@ mod tests {
     use super::*;
     use crate::render::gpu::status::status_buffer;
 
-    /// SH floats of degree 1, which are moved four at a time, and of degree 2, which are not.
+    /// Number of SH floats for degree 1, which are updated four at a time, and for degree 2, which are not.
     const SH_FLOATS: [usize; 2] = [12, 27];
     const RATES: SplatRates =
         SplatRates { mean: 1e-3, opacity: 0.05, rotation: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
@@ -243,7 +243,7 @@ mod tests {
         let (geometry, sh) = (random(n * 12, &mut rng), random(n * sh_floats, &mut rng));
         let state = State::new(&gpu, &geometry, &sh);
         let mut adam = state.adam(&gpu);
-        // Weights so large that the regularisers matter next to gradients of order 1.
+        // Weights large enough for the regularisers to matter beside gradients of order 1.
         let step = AdamStep { opacity_weight: 400.0, scale_weight: 300.0, ..STEP };
 
         let mut p: Vec<f64> = geometry.iter().chain(&sh).map(|&v| f64::from(v)).collect();
@@ -263,13 +263,14 @@ mod tests {
             })
         };
         for t in 1..=20 {
-            // Magnitudes over twelve decades: Adam must not care.
+            // Gradient magnitudes span twelve decades, to which Adam must be invariant.
             let mut gradient = random(p.len(), &mut rng);
             for (i, g) in gradient.iter_mut().enumerate() {
                 let regularised = i < n * 12 && matches!(i % 12, 3 | 8..11);
                 *g *= if regularised { 1.0 } else { 10f32.powi(-(i as i32 % 13)) };
             }
-            // Each splat is seen in two of three steps. Otherwise it has no gradient, whatever is there.
+            // Each splat is visible in two of three steps. Otherwise its gradient counts as zero, whatever the buffer
+            // contains.
             let splat_of = |i: usize| i.checked_sub(n * 12).map_or(i / 12, |j| j / sh_floats);
             let is_visible = |splat: usize| !(splat + t as usize).is_multiple_of(3);
             gpu.write(&state.visible, 0, &(0..n).map(|splat| u32::from(is_visible(splat))).collect::<Vec<_>>());
@@ -296,7 +297,7 @@ mod tests {
         }
         let (geometry, sh) = state.read(&gpu, 0);
         for (i, found) in geometry.into_iter().chain(sh).enumerate() {
-            // Relative to the way that twenty full steps go, and the rounding of twenty sums.
+            // Relative to the distance of twenty full steps, plus the rounding of twenty sums.
             let tolerance = 1e-4 * 20.0 * rate(i) + 20.0 * f64::from(f32::EPSILON) * start[i].abs();
             let error = (f64::from(found) - p[i]).abs();
             assert!(error <= tolerance, "float {i}: {found}, not {} (from {})", p[i], start[i]);
@@ -309,7 +310,7 @@ mod tests {
         let n = 40_000;
         let opacity = 0.01f64;
         let quaternion = DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 1.1);
-        let q = quaternion * 1.7; // of any length
+        let q = quaternion * 1.7; // of any norm
         let scale = DVec3::new(0.3, 0.1, 0.02);
         let splat = [
             0.0,
@@ -338,7 +339,7 @@ mod tests {
         let r = DMat3::from_quat(quaternion);
         let covariance = r * DMat3::from_diagonal(scale * scale) * r.transpose();
         let strength = 5e5 * f64::from(RATES.mean) / (1.0 + (100.0 * (opacity - 0.005)).exp());
-        // In the basis where Σ3·ξ is white, so that every axis counts alike.
+        // In the basis in which Σ3·ξ is white, so that all axes have equal weight.
         let white = (covariance * strength).inverse();
         let xi = deltas.map(|d| d.into_iter().map(|d| white * d).collect::<Vec<_>>());
         let mean_of = |f: &dyn Fn(usize) -> f64| (0..n).map(f).sum::<f64>() / n as f64;
@@ -367,7 +368,7 @@ mod tests {
         let n = 100;
         let state = State::new(&gpu, &random(n * 12, &mut rng), &random(n * sh_floats, &mut rng));
         for set in [1, 2, 3] {
-            // Gradients are larger than moments: what is seen changes by more than rounding.
+            // Gradients are larger than moments, so that visible splats change by more than rounding.
             let least = if set == 1 { 10.0 } else { 0.0 };
             let mut values = |count| random(count, &mut rng).iter().map(|v| least + v.abs()).collect::<Vec<_>>();
             gpu.write(&state.geometry[set], 0, &values(n * 12));

@@ -230,14 +230,15 @@ mod tests {
 
     use super::*;
 
-    /// Also of subgroups that no adapter here has: every sum is in one place, and comes to what its addends do one after the other.
+    /// Also for subgroup sizes that no adapter here has: every sum is computed by exactly one lane, and equals the
+    /// sequential sum.
     #[test]
     fn sums_are_spread_over_any_number_of_lanes() {
         let gpu = Gpu::open(None).unwrap();
         let mut rng = Pcg32::seed_from_u64(1);
         for (lanes, absolute) in [8_usize, 16, 32, 64].into_iter().flat_map(|lanes| [(lanes, false), (lanes, true)]) {
             let n_moments = moments(absolute);
-            // Those of both splats.
+            // Sums of both splats.
             let row = 2 * n_moments;
             let addends: Vec<f32> = (0..lanes * row).map(|_| rng.random_range(-1.0..1.0)).collect();
             let defines = (gpu.defines().with("LANES", lanes as u32).with("MOMENTS", n_moments as u32))

@@ -151,7 +151,8 @@ mod tests {
         scene::{Camera, Composition, Intrinsics},
     };
 
-    /// More parts of the gradient than there are threads to add them up: of a picture that is brighter, and pulls harder, towards its end.
+    /// More partial gradients than threads that sum them, for a picture whose brightness and gradient increase towards
+    /// its end.
     #[test]
     fn all_of_a_large_picture_pulls() {
         let (width, height) = (1100, 1000);
@@ -159,7 +160,7 @@ mod tests {
         let view = View::of(&Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap(), Composition::default());
         let pixels = view.pixels();
         assert!(groups(pixels, PIXELS) > 256);
-        // Of pixel p, channel c.
+        // Value of channel c of pixel p.
         let value = |p: usize, c: usize| (p % 97 + 31 * c) as f32 / 200.0 + p as f32 / pixels as f32;
         let image: Vec<[f32; 4]> = (0..pixels).map(|p| [value(p, 0), value(p, 1), value(p, 2), 0.0]).collect();
         let slopes: Vec<[f32; 4]> =
@@ -185,7 +186,7 @@ mod tests {
             let (row, column) = (i / 4, i % 4);
             let seen = |rgb: &[f32; 4]| if column < 3 { f64::from(rgb[column]) } else { 1.0 };
             let expected: f64 = image.iter().zip(&slopes).map(|(rgb, g)| f64::from(g[row]) * seen(rgb)).sum();
-            // Adam's first moment of the first step is a tenth of the gradient.
+            // Adam's first moment after the first step is a tenth of the gradient.
             let found = 10.0 * f64::from(moment);
             assert!((found / expected - 1.0).abs() < 1e-5, "{i}: {found}, not {expected}");
         }

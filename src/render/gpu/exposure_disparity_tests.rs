@@ -1,4 +1,4 @@
-//! Disparity beside exposures: what is as its photograph has it is told by the exposed picture.
+//! Disparity weighting with exposures: whether a pixel matches its photograph is decided after exposure.
 
 use super::{
     Gpu,
@@ -18,10 +18,10 @@ use crate::{
 };
 
 const WEIGHT: f32 = 10.0;
-/// Of the view that is trained on, by rows; it mixes channels.
+/// Exposure of the training view, by rows; it mixes channels.
 const EXPOSURE: [f32; FLOATS] = [0.8, 0.05, -0.02, 0.03, 0.04, 0.9, 0.02, 0.02, -0.03, 0.06, 0.7, 0.05];
 
-/// First moments of the splats' geometry and of exposures after the first step, a tenth of the gradients.
+/// First moments of splat geometry and of exposures after the first step, which are a tenth of the gradients.
 fn first_moments(training: &mut Training, camera: &Camera, truth: &[u8], disparity_weight: f32) -> [Vec<f32>; 2] {
     let splats = AdamStep {
         number: 1,
@@ -56,7 +56,8 @@ fn first_moments(training: &mut Training, camera: &Camera, truth: &[u8], dispari
     [training.read_splats().unwrap().geometry_m, of_exposures]
 }
 
-/// Gradients of the splats' geometry by the reference, `[N·11]`, of pixels whose loss grows by `slopes` with their disparity.
+/// Gradients of splat geometry by the reference, `[N·11]`, for a loss that grows by `slopes` with the disparity of each
+/// pixel.
 fn by_disparity(scene: &HybridScene, camera: &Camera, slopes: &[f64]) -> Vec<f64> {
     let k = camera.intrinsics();
     let nothing = Image {
@@ -82,7 +83,7 @@ fn nearness_counts_as_far_as_the_exposed_picture_is_the_photograph() {
         state.values[FLOATS..2 * FLOATS].copy_from_slice(&EXPOSURE);
         let new = || Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
         let picture = new().render(&camera, [0.0; 3], Show::All).unwrap().rgb;
-        // Off by 2/255, either way.
+        // The photograph differs by 2/255, in either direction.
         let off = |i: usize, value: f32| {
             let byte = (255.0 * value).round() as u8;
             if i.is_multiple_of(3) { byte.saturating_sub(2) } else { byte.saturating_add(2) }
@@ -118,7 +119,7 @@ fn nearness_counts_as_far_as_the_exposed_picture_is_the_photograph() {
         let error = testing::largest(pairs.map(|((a, b), expected)| (10.0 * f64::from(a - b) - expected).abs()));
         let largest = testing::largest(expected.iter().map(|g| g.abs()));
         eprintln!("{}: {error:.1e} of {largest:.1e}", gpu.adapter());
-        // Differences of two f32 sums.
+        // Differences between two f32 sums.
         assert!(largest > 0.0 && error < 1e-4 * largest, "{error:e} of {largest:e}");
     }
 }

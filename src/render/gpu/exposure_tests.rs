@@ -1,4 +1,4 @@
-//! Exposures against finite differences of the loss's definition, and what their steps do.
+//! Gradients of exposures compared with finite differences of the loss, and effects of exposure steps.
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 
@@ -15,7 +15,7 @@ use crate::{
     scene::{Camera, Composition, HybridScene, Intrinsics, Splats},
 };
 
-/// No multiple of a workgroup's pixels.
+/// Not a multiple of a workgroup's pixels.
 const SIZE: [u32; 2] = [70, 61];
 const SPLATS: usize = 6;
 const BACKGROUND: [f32; 3] = [0.1, 0.2, 0.3];
@@ -28,7 +28,7 @@ fn camera() -> Camera {
     Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap()
 }
 
-/// Coloured splats that overlap; `shift` is added to one SH coefficient of one of them.
+/// Coloured, overlapping splats; `shift` is added to one SH coefficient of one of them.
 fn scene((splat, channel): (usize, usize), shift: f32) -> HybridScene {
     let mut sh: Vec<[f32; 3]> = (0..SPLATS).map(|i| [0.3 * (i as f32).sin(), 0.2, 0.25 * (i as f32).cos()]).collect();
     sh[splat][channel] += shift;
@@ -43,7 +43,7 @@ fn scene((splat, channel): (usize, usize), shift: f32) -> HybridScene {
     HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() }
 }
 
-/// 0 or 255, so that no difference changes its sign near the pictures here.
+/// Photograph with values 0 or 255, so that no difference changes sign near the rendered values.
 fn truth() -> Vec<u8> {
     let pixels = SIZE[0] * SIZE[1];
     (0..pixels)
@@ -51,7 +51,7 @@ fn truth() -> Vec<u8> {
         .collect()
 }
 
-/// Of three views; the middle one mixes channels.
+/// Exposures of three views; the middle one mixes channels.
 fn exposures() -> ExposureState {
     let mut state = ExposureState::new(3);
     let mixed = [0.8, 0.05, -0.02, 0.03, 0.04, 0.9, 0.02, 0.02, -0.03, 0.06, 0.7, 0.05];
@@ -99,12 +99,13 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
         .unwrap();
 }
 
-/// The software adapter's kernels, and those for GPUs.
+/// Adapters with the kernels for software adapters and for GPUs.
 fn gpus() -> [Gpu; 2] {
     [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()]
 }
 
-/// Of an exposed picture and the truth, which is over the background as it is exposed, or weighs both by its alpha.
+/// Loss of an exposed picture against the photograph, which is composited over the exposed background or weights both
+/// by its alpha.
 fn values(state: &ExposureState, picture: &[[f32; 3]], (truth, alpha): (&[u8], TruthAlpha)) -> LossValues {
     let e: Vec<f64> = state.of(1).map(f64::from).to_vec();
     let exposed = |rgb: &[f32; 3], c: usize| {
@@ -130,31 +131,32 @@ fn loss(values: LossValues, ssim_weight: f32) -> f64 {
     (1.0 - w) * values.l1 + w * (1.0 - values.ssim)
 }
 
-/// With SSIM, too, whose windows are of what is exposed.
+/// Also with SSIM, whose windows contain exposed values.
 #[test]
 fn gradients_are_those_of_the_exposed_picture() {
     assert_gradients(&[0.0, 0.2], (&truth(), TruthAlpha::Composite));
 }
 
-/// The truth, of which every third pixel has an alpha of 0, and the others one by which no difference changes its sign near the pictures here.
+/// A photograph in which every third pixel has an alpha of 0; other values are such that no difference changes sign
+/// near the rendered values.
 fn cut_out() -> Vec<u8> {
     let is_there = |p: usize| if p.is_multiple_of(3) { 0 } else { 230 };
     truth().chunks(4).enumerate().flat_map(|(p, c)| [c[0], c[1], c[2], is_there(p)]).collect()
 }
 
-/// What is behind a photograph with alpha is exposed with it.
+/// The background behind a photograph with alpha is exposed too.
 #[test]
 fn gradients_are_those_of_a_photograph_over_the_exposed_background() {
     assert_gradients(&[0.0], (&cut_out(), TruthAlpha::Composite));
 }
 
-/// What weighs nothing says nothing of the exposure.
+/// Pixels with weight zero have no influence on the exposure.
 #[test]
 fn gradients_are_those_of_the_exposed_picture_behind_a_mask() {
     assert_gradients(&[0.0, 0.2], (&cut_out(), TruthAlpha::Mask));
 }
 
-/// Losses where a number is more and where it is less, and by how much these are apart.
+/// Losses for an increased and a decreased parameter, and the distance between the two.
 struct Sides {
     losses: [LossValues; 2],
     apart: f64,
@@ -167,7 +169,7 @@ impl Sides {
     }
 }
 
-/// Of the exposure's floats.
+/// For the floats of the exposure.
 fn exposure_sides(picture: &[[f32; 3]], truth: (&[u8], TruthAlpha)) -> Vec<Sides> {
     let sides = |i: usize| {
         let moved = [1e-4, -1e-4].map(|h: f32| {
@@ -181,7 +183,7 @@ fn exposure_sides(picture: &[[f32; 3]], truth: (&[u8], TruthAlpha)) -> Vec<Sides
     (0..FLOATS).map(sides).collect()
 }
 
-/// Of the splats' coefficients, `[splat·3 + channel]`.
+/// For the coefficients of the splats, `[splat·3 + channel]`.
 fn sh_sides(gpu: &Gpu, truth: (&[u8], TruthAlpha)) -> Vec<Sides> {
     let state = exposures();
     let coefficients = (0..SPLATS).flat_map(|splat| [0, 1, 2].map(|channel| (splat, channel)));
@@ -195,7 +197,8 @@ fn sh_sides(gpu: &Gpu, truth: (&[u8], TruthAlpha)) -> Vec<Sides> {
     coefficients.map(sides).collect()
 }
 
-/// Compares the gradients of a step, by the kernels of either kind of adapter, with central differences of the definition.
+/// Compares the gradients of a step, by the kernels for either kind of adapter, with central differences of the
+/// definition.
 fn assert_gradients(ssim_weights: &[f32], truth: (&[u8], TruthAlpha)) {
     let (gpus, state) = (gpus(), exposures());
     let picture = training(&gpus[0], &scene((0, 0), 0.0), 0.0).render(&camera(), BACKGROUND, Show::All).unwrap().rgb;
@@ -204,7 +207,7 @@ fn assert_gradients(ssim_weights: &[f32], truth: (&[u8], TruthAlpha)) {
     for (gpu, &ssim_weight) in gpus.iter().flat_map(|gpu| ssim_weights.iter().map(move |weight| (gpu, weight))) {
         let case = format!("{:?}, SSIM {ssim_weight}, {:?}", gpu.profile(), truth.1);
         let mut trained = training(gpu, &scene((0, 0), 0.0), ssim_weight);
-        // Lists are long enough then.
+        // A first rendering makes the lists long enough.
         trained.render(&camera(), BACKGROUND, Show::All).unwrap();
         trained.expose(&state).unwrap();
         step_on(&mut trained, truth, Some(ExposureStep { view: 1, rate: 1e-2 }));
@@ -214,24 +217,24 @@ fn assert_gradients(ssim_weights: &[f32], truth: (&[u8], TruthAlpha)) {
             "{case}: {found:?} {expected:?}"
         );
 
-        // Adam's first moment of the first step is a tenth of the gradient.
+        // Adam's first moment after the first step is a tenth of the gradient.
         let after = trained.read_exposures().unwrap().unwrap();
         let largest = testing::largest(after.moments[0].iter().map(|m| f64::from(10.0 * m.abs())));
         assert!(largest > 0.01, "{case}: {largest}");
         for (i, sides) in by_exposure.iter().enumerate() {
             let (numeric, found) = (sides.slope(ssim_weight), f64::from(10.0 * after.moments[0][FLOATS + i]));
             assert!((numeric - found).abs() < 1e-5 * largest, "{case}, {i}: {found}, differences say {numeric}");
-            // And the step is one of Adam: by the rate, against the gradient.
+            // The step is one of Adam: by the learning rate, against the gradient.
             let moved = after.values[FLOATS + i] - state.values[FLOATS + i];
             assert!((f64::from(moved) + 1e-2 * numeric.signum()).abs() < 1e-6, "{case}, {i}: {moved}");
         }
-        // The other views rest.
+        // Other views are unchanged.
         for other in [0, 2] {
             assert_eq!(after.of(other), state.of(other));
         }
         assert_eq!(after.steps, [0, 1, 0]);
 
-        // What the scene learns is the gradient through the exposure.
+        // The scene's gradient is that through the exposure.
         let found = trained.read_splats().unwrap().sh_m;
         assert_eq!(found.len(), by_sh.len());
         for (i, (found, sides)) in found.iter().zip(&by_sh).enumerate() {
@@ -272,7 +275,7 @@ fn an_exposure_is_undone() {
     let undone = state.undo(0, state.apply(0, rgb));
     assert!(rgb.iter().zip(undone).all(|(a, b)| (a - b).abs() < 1e-5), "{undone:?}");
     assert_eq!(state.undo(1, rgb), rgb);
-    // A photograph that is one grey says nothing.
+    // A photograph mapped to a single grey cannot be inverted.
     state.values[..FLOATS].fill(0.0);
     assert_eq!(state.undo(0, rgb), rgb);
 }
@@ -282,7 +285,7 @@ fn the_mean_of_the_training_views_is_taken_out() {
     let mut state = ExposureState::new(3);
     state.values[0] = 1.5;
     state.values[FLOATS + 3] = 0.2;
-    // A view that is not among them.
+    // A view outside the set that is centred.
     state.values[2 * FLOATS + 7] = 9.0;
     state.center(&[0, 1]);
     assert_eq!((state.of(0)[0], state.of(1)[0]), (1.25, 0.75));
@@ -292,7 +295,7 @@ fn the_mean_of_the_training_views_is_taken_out() {
     assert!(state.is_of(3) && !state.is_of(2));
 }
 
-/// A photograph of nothing is over the background as its exposure has it: that agrees with a picture of nothing.
+/// A fully transparent photograph becomes the exposed background, and so does an empty rendering: the two agree.
 #[test]
 fn what_is_transparent_on_both_sides_leaves_exposures_alone() {
     let state = exposures();

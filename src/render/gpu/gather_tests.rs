@@ -1,4 +1,4 @@
-//! What is summed over the footprints of splats, against the weights that the reference blends them with.
+//! Sums over the footprints of splats, compared with the reference's blend weights.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
@@ -15,8 +15,8 @@ use crate::{
     scene::{Camera, HybridScene, OrderMode, sh},
 };
 
-/// Σw·value and Σw of every splat. A weight is what the picture grows by with a colour, and a colour Y₀ times its first coefficient, besides
-/// others.
+/// Σw·value and Σw for every splat. A weight is the derivative of the picture by a splat's colour, and the derivative
+/// of the colour by its first coefficient is Y₀.
 fn sums(scene: &HybridScene, camera: &Camera, values: &[[f32; 3]]) -> Vec<[f64; 4]> {
     let k = camera.intrinsics();
     let values = Image {
@@ -52,7 +52,7 @@ fn sums_over_splats_are_by_the_weights_of_the_reference() {
                 assert!(expected[3] > 0.1, "{mode:?}, {show:?}: splat {i} is not seen");
                 for (a, b) in found.iter().zip(expected) {
                     let error = (f64::from(*a) - b).abs();
-                    // Of weights that are right to some ulps, and of values up to 2.
+                    // Weights are right up to some ulps, and values are at most 2.
                     assert!(error < 1e-4 * expected[3], "{mode:?}, {show:?}, splat {i}: {found:?}, not {expected:?}");
                 }
             }

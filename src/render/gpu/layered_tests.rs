@@ -1,4 +1,4 @@
-//! Pictures in parts against the reference, under both image models.
+//! Renderings by layers compared with the reference, for both image models.
 
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -14,7 +14,7 @@ const BY_MEAN: ImageModel = ImageModel::Ray(ShDirection::Mean);
 const BY_RAY: ImageModel = ImageModel::Ray(ShDirection::Ray);
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
 
-/// PSNR of a set of numbers against a peak of 1, and the pixels that differ by more than 1e-2.
+/// PSNR of a set of values for a peak of 1, and the pixels that differ by more than 1e-2.
 struct Agreement {
     psnr: f64,
     differing: usize,
@@ -42,13 +42,14 @@ fn pictures(gpu: &Gpu, scene: &HybridScene, camera: &Camera, model: ImageModel) 
     (found, reference::render_layers(scene, camera, model))
 }
 
-/// By how much a depth may be off, of itself, and a normal.
+/// Allowed relative error of depths, and error of normals.
 const DEPTH: f64 = 1e-4;
 const NORMAL: f64 = 1e-4;
-/// Of a picture's pixels, one in so many may be off by more, or count other splats: where an edge or a cut decides, depths, normals and counts jump.
+/// One in this many pixels may differ by more, or count other splats: at edges and cut-offs, depths, normals and counts
+/// are discontinuous.
 const DECIDED_OTHERWISE: usize = 100;
 
-/// Which pixels' numbers are off by more than `bound` says of what is expected.
+/// Which pixels differ from the expected values by more than `bound` of these.
 fn off<const N: usize>(found: &[[f32; N]], expected: &[[f64; N]], bound: impl Fn(&[f64; N]) -> f64) -> Vec<bool> {
     assert_eq!(found.len(), expected.len());
     let is_off = |(f, e): (&[f32; N], &[f64; N])| {
@@ -58,11 +59,12 @@ fn off<const N: usize>(found: &[[f32; N]], expected: &[[f64; N]], bound: impl Fn
     found.iter().zip(expected).map(is_off).collect()
 }
 
-/// Every part of both models agrees to 80 dB over all pixels, those at thresholds included: a splat that one of the two
-/// cuts at 1/255 is a difference of at most 1/255.
+/// Every part of both models agrees to 80 dB over all pixels, including those at thresholds: a splat that only one of
+/// the two cuts at 1/255 is a difference of at most 1/255.
 #[test]
 fn parts_equal_the_reference() {
-    // As for hardware, too, which has other kernels: with all modes, no mesh, and one, two and four layers.
+    // Also for hardware adapters, which have other kernels: with all modes, without a mesh, and with one, two and four
+    // layers.
     let [own, hardware] = [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()];
     let seeds = (0..18_u64).map(|seed| (seed, &own)).chain([3, 5, 7, 11].map(|seed| (seed, &hardware)));
     for (seed, gpu) in seeds {
@@ -101,7 +103,8 @@ fn parts_equal_the_reference() {
     }
 }
 
-/// What `Renderer` draws is what its parts sum to, but for what it learns too late to be behind its stop at 1e-4.
+/// The picture of `Renderer` is the sum of its parts, up to contributions that the layered rendering finds only after
+/// the stop at a transmittance of 1e-4.
 #[test]
 fn parts_sum_to_the_picture() {
     let gpu = Gpu::open(None).unwrap();
@@ -114,13 +117,13 @@ fn parts_sum_to_the_picture() {
         let (sum, most) = differences.fold((0.0, 0.0_f32), |(sum, most), d| (sum + d, most.max(d)));
         let mean = sum / (3 * whole.rgb.len()) as f32;
         eprintln!("{mode:?}: mean {mean:.1e}, max {most:.1e}");
-        // Three buckets, colours up to about 2.
+        // Three buckets, with colours up to about 2.
         assert!(mean < 1e-6 && most < 6e-4, "{mean:e}, {most:e}");
     }
 }
 
-/// Needles and plates of up to 1 to 1000, most seen edge-on somewhere in a view of 120°, some around the camera's plane.
-/// Much thinner ones fall between pixels, where f32 does not tell whether a ray meets them.
+/// Needles and plates with aspect ratios up to 1 to 1000, most of them seen edge-on somewhere in a view of 120°, some
+/// around the camera's plane. Much thinner ones fall between pixels, where f32 cannot decide whether a ray meets them.
 #[test]
 fn thin_splats_and_splats_beside_the_camera_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap();
@@ -148,7 +151,7 @@ fn thin_splats_and_splats_beside_the_camera_equal_the_reference() {
     assert!(beauty.psnr > 80.0 && covered * 2 > found.splats.len());
 }
 
-/// More peaks in a pixel than one search keeps.
+/// More peaks in a pixel than one search can hold.
 #[test]
 fn deep_stacks_are_searched_in_parts() {
     let gpu = Gpu::open(None).unwrap();
@@ -164,7 +167,8 @@ fn deep_stacks_are_searched_in_parts() {
     assert!(beauty.psnr > 80.0 && deepest > 64);
 }
 
-/// `n` splats in a corner of the only tile, before 80 translucent ones that cover it, among the meshes of a random scene.
+/// `n` splats in a corner of the only tile, in front of 80 translucent ones that cover it, among the meshes of a random
+/// scene.
 fn crowded(n: usize) -> (HybridScene, Camera) {
     let k = Intrinsics { width: 16, height: 16, fx: 16.0, fy: 16.0, cx: 8.0, cy: 8.0 };
     let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
@@ -181,7 +185,8 @@ fn crowded(n: usize) -> (HybridScene, Camera) {
     (scene, camera)
 }
 
-/// Mesa's software adapter ends loops after 65,535 passes of a thread in all: 80 peaks are six searches, and four layers five walks.
+/// Mesa's software adapter ends loops after 65,535 iterations of a thread in total: 80 peaks need six searches, and
+/// four layers five passes.
 #[test]
 fn full_tiles_are_blended_to_their_end() {
     let gpu = Gpu::open(None).unwrap();
@@ -207,7 +212,8 @@ fn full_tiles_are_blended_to_their_end() {
     assert!(error.to_string().contains("has 60080 splats, and"), "{error}");
 }
 
-/// Triangles before all of 129,600 bins, more than loops of Mesa's software adapter go on, and a splat before all of 32,400 tiles.
+/// Triangles that cover all 129,600 bins, more than the iterations of a loop on Mesa's software adapter, and a splat
+/// that covers all 32,400 tiles.
 #[test]
 fn large_pictures_are_covered_to_their_end() {
     let gpu = Gpu::open(None).unwrap();
@@ -228,7 +234,7 @@ fn large_pictures_are_covered_to_their_end() {
     let composition = Composition { layers: 1, ..Composition::default() };
     let scene = HybridScene { splats: splats.unwrap(), meshes: vec![mesh], composition };
     let picture = Renderer::new(&gpu, &scene, &[camera]).unwrap().render(&camera).unwrap();
-    // One half is the mesh's opacity; of the splat's, 0.3 and more is left in the corners.
+    // The mesh has an opacity of one half; the splat still has 0.3 or more in the corners.
     let bare = picture.transmittance.iter().filter(|t| **t > 0.4).count();
     assert_eq!(bare, 0, "of {} pixels", picture.transmittance.len());
 }

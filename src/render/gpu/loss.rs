@@ -142,7 +142,7 @@ pub(super) mod tests {
     use crate::render::{gpu::view::VIEW_WORDS, testing};
 
     const BACKGROUND: [f32; 3] = [0.9, 0.4, 0.1];
-    /// Of the loss by the disparity of a pixel that is as its photograph.
+    /// Derivative of the loss by the disparity of a pixel that matches its photograph.
     const SLOPE: f32 = 3.0;
     const SSIM_WEIGHT: f32 = 0.2;
 
@@ -153,14 +153,14 @@ pub(super) mod tests {
         alpha: TruthAlpha,
     }
 
-    /// Weights of a window along one of its sides.
+    /// Weights of a window along one side.
     fn gauss() -> Vec<f64> {
         let gauss: Vec<f64> = (-5..=5).map(|i| (-f64::from(i * i) / 4.5).exp()).collect();
         let sum: f64 = gauss.iter().sum();
         gauss.iter().map(|weight| weight / sum).collect()
     }
 
-    /// Pixels of an image in the window around one, and what they weigh; others are zeros.
+    /// Pixels of the image in the window around a pixel, with their weights; pixels outside the image are zero.
     fn window(gauss: &[f64], [w, h]: [usize; 2], pixel: usize) -> impl Iterator<Item = (usize, f64)> {
         let (row, column) = (pixel / w, pixel % w);
         (row.saturating_sub(5)..h.min(row + 6)).flat_map(move |r| {
@@ -169,7 +169,7 @@ pub(super) mod tests {
         })
     }
 
-    /// Of a window: its means of x and y, and A, B, C and D, of which SSIM is AB/(CD).
+    /// Means of x and y in a window, and A, B, C and D, where SSIM = AB/(CD).
     struct Window {
         means: [f64; 2],
         factors: [f64; 4],
@@ -194,7 +194,7 @@ pub(super) mod tests {
             a * b / (c * d)
         }
 
-        /// ∂SSIM by the means of x, x² and xy.
+        /// Derivatives of SSIM by the means of x, x² and xy.
         fn slopes(&self) -> [f64; 3] {
             let ([m1, m2], [a, b, c, d], s) = (self.means, self.factors, self.ssim());
             let by_mean = 2.0 * m2 * (b - a) / (c * d) + 2.0 * m1 * s * (1.0 / d - 1.0 / c);
@@ -202,7 +202,7 @@ pub(super) mod tests {
         }
     }
 
-    /// The definition, window by window, of `[h·w]` rendered and true values of each channel.
+    /// The loss by definition, window by window, from rendered and true values `[h·w]` of each channel.
     pub(in crate::render::gpu) fn defined(size: [usize; 2], channels: [[&[f64]; 2]; 3]) -> LossValues {
         let gauss = gauss();
         let (mut l1, mut ssim) = (0.0, 0.0);
@@ -215,7 +215,8 @@ pub(super) mod tests {
         LossValues { l1: l1 / n, ssim: ssim / n }
     }
 
-    /// Derivative of the loss by the rendered values of a channel, `[h·w]`. L1 has none where they are the true ones.
+    /// Derivative of the loss by the rendered values of a channel, `[h·w]`. L1 has derivative 0 where they equal the
+    /// true values.
     fn adjoint(size: [usize; 2], [x, y]: [&[f64]; 2], ssim_weight: f64) -> Vec<f64> {
         let (gauss, n) = (gauss(), (3 * x.len()) as f64);
         let by_l1 = |(x, y): (&f64, &f64)| if x == y { 0.0 } else { (x - y).signum() };
@@ -230,7 +231,7 @@ pub(super) mod tests {
     }
 
     impl Images {
-        /// Smooth shapes with noise on both sides; a fifth of the pixels are black in both, exactly equal.
+        /// Smooth shapes with noise in both images; a fifth of the pixels are black in both, thus equal.
         fn random(size: [usize; 2], alpha: TruthAlpha, seed: u64) -> Self {
             let mut rng = Pcg32::seed_from_u64(seed);
             let mut images = Self { size, image: vec![], truth: vec![], alpha };
@@ -247,7 +248,7 @@ pub(super) mod tests {
             images
         }
 
-        /// Rendered and true values of one channel as the loss sees them, and the alpha that multiplied them.
+        /// Rendered and true values of a channel as used by the loss, and the alpha that multiplied them.
         fn channel(&self, c: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
             let (mut x, mut y, mut slope) = (vec![], vec![], vec![]);
             for (p, t) in self.image.iter().zip(&self.truth) {
@@ -291,7 +292,8 @@ pub(super) mod tests {
 
     #[test]
     fn ssim_of_a_known_pair() {
-        // The pair of `metrics::ssim`'s tests, with zero padding. The truth is the one of the two that 8 bits can hold.
+        // The images of `metrics::ssim`'s tests, with zero padding. The truth is the one of the two that 8 bits can
+        // represent.
         let mut images = Images { size: [16, 16], image: vec![], truth: vec![], alpha: TruthAlpha::Ignore };
         for i in 0..256usize {
             let y = (0.9 * i as f32 / 255.0 + 0.05 * ((i / 16 + i) % 2) as f32).clamp(0.0, 1.0);
@@ -299,7 +301,7 @@ pub(super) mod tests {
             images.truth.push([i as u8, i as u8, i as u8, 255]);
         }
         let (found, _) = images.on_gpu(&Gpu::open(None).unwrap(), 0.2);
-        // f32 variances carry errors of 1e-7 against C2 = 9e-4.
+        // f32 variances have errors of 1e-7, compared with C2 = 9e-4.
         assert!((found.ssim - 0.970_822_791).abs() < 1e-5, "{found:?}");
         assert!((images.values().ssim - 0.970_822_791).abs() < 1e-7);
     }
@@ -329,12 +331,13 @@ pub(super) mod tests {
         }
     }
 
-    /// Of the largest slope: f32 means over windows are off by 1e-7 or so, and variances here are some hundredths.
+    /// Relative to the largest derivative: f32 means over windows have errors of about 1e-7, and variances here are
+    /// some hundredths.
     const SLOPES: f64 = 1e-5;
 
     #[test]
     fn loss_and_gradient_match_the_definition() {
-        // Around the sides of either kernel's tiles, and far from them.
+        // Around the tile boundaries of either kernel, and far from them.
         let cases = [
             ([37, 101], TruthAlpha::Ignore),
             ([16, 40], TruthAlpha::Composite),
@@ -373,7 +376,7 @@ pub(super) mod tests {
                     let amiss = testing::largest(channels.iter().map(|(x, y, _)| (x[pixel] - y[pixel]).abs()));
                     let expected = f64::from(SLOPE) * (-amiss / 0.02).exp();
                     let error = (f64::from(g[3]) - expected).abs();
-                    // Colours are off by an ulp or two, for e to the fiftyfold of it.
+                    // Colours have errors of an ulp or two, which enter an exponential with a factor of fifty.
                     assert!(
                         error < 3e-5 * f64::from(SLOPE),
                         "{size:?} {alpha:?} pixel {pixel}: {}, not {expected}",
@@ -393,7 +396,8 @@ pub(super) mod tests {
         for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()] {
             let (found, gradient) = images.on_gpu(&gpu, 1.0);
             assert!(found.l1 < 1e-7 && (found.ssim - 1.0).abs() < 1e-6, "{found:?}");
-            // An adapter may convert 8 bits one rounding (6e-8) differently; the slope by it is at most 2/C2.
+            // An adapter may convert 8-bit values with a different rounding (6e-8); the derivative by that is at most
+            // 2/C2.
             let bound = 6e-8 * 2.0 / 9e-4 / (3.0 * 40.0 * 60.0);
             assert!(gradient.iter().flat_map(|g| &g[..3]).all(|g| g.abs() <= bound));
         }

@@ -268,7 +268,7 @@ mod tests {
         let gpu = Gpu::open(None).unwrap();
         let (scene, camera) = smooth_scene(1, 2, OrderMode::Stable);
         let times = training_step(&gpu, &scene, &camera, 1).unwrap();
-        // Splats that are seen in every pixel of 24 × 18, which are four tiles.
+        // Splats that are visible in every pixel of 24 × 18, which are four tiles.
         assert_eq!((times.visible, times.pairs), (5, 20), "{times:?}");
         assert!((1..=256 * times.pairs).contains(&times.evaluations), "{times:?}");
         assert!(times.step_seconds > 0.0 && times.frame_seconds > 0.0, "{times:?}");
@@ -284,7 +284,7 @@ mod tests {
         distinct.dedup();
         assert_eq!(distinct.len(), kernels.len(), "{kernels:?}");
         assert!(times.stages.iter().all(|stage| stage.seconds.is_finite() && stage.seconds >= 0.0), "{times:?}");
-        // Of an adapter of its own, which holds nothing else.
+        // Measured on an adapter of its own, which has allocated nothing else.
         assert!(training_peak(None, &scene, &camera).unwrap() > 0);
     }
 }

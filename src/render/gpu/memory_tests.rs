@@ -1,4 +1,4 @@
-//! The bytes per splat, texel and pixel that ARCHITECTURE.md states, against what is allocated.
+//! The bytes per splat, texel and pixel stated in ARCHITECTURE.md, compared with actual allocations.
 
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
@@ -16,11 +16,11 @@ use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Sp
 const SH_DEGREE: u32 = 3;
 const SH_TERMS: f64 = 16.0;
 const LAYERS: u32 = 2;
-/// Six (tile, splat) pairs of 16 bytes have room from the start, of 68 in training.
+/// Initial capacity for six (tile, splat) pairs per splat: 16 bytes each, or 68 in training.
 const PAIRS: f64 = 6.0 * 16.0;
 const TRAINING_PAIRS: f64 = 6.0 * 68.0;
 
-/// What the memory is allocated for.
+/// Purpose of the memory.
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     Training,
@@ -28,7 +28,7 @@ enum Kind {
     Layers(ImageModel),
 }
 
-/// `n` splats and a triangle with a base map of `texels`² texels, and a picture of `side`² pixels.
+/// `n` splats, a triangle with a base map of `texels`² texels, and a picture of `side`² pixels.
 fn seen(n: usize, texels: u32, side: u32) -> (HybridScene, Camera) {
     let splats = Splats::new(
         vec![Vec3::ZERO; n],
@@ -50,10 +50,10 @@ fn seen(n: usize, texels: u32, side: u32) -> (HybridScene, Camera) {
     (scene, Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap())
 }
 
-/// Peak bytes for [`seen`].
+/// Peak bytes for the scene of [`seen`].
 fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
     let (scene, camera) = seen(n, texels, side);
-    // A fresh adapter each time, as the peak of one never falls. Nothing is read back, as staging counts too.
+    // A new adapter each time, since the peak of one never decreases. Nothing is read back, since staging counts too.
     let gpu = Gpu::open(None).unwrap();
     match kind {
         Kind::Training => drop(Training::new(&gpu, &scene, &[camera], 0.2).unwrap()),
@@ -64,7 +64,7 @@ fn peak(n: usize, texels: u32, side: u32, kind: Kind) -> f64 {
 }
 
 /// Compares bytes per splat, texel and pixel. Tables of counters (sort histograms, scan sums, tile ranges) add up to
-/// two per cent to what they belong to.
+/// two per cent to these.
 fn check(kind: Kind, stated: [f64; 3]) {
     let smallest = peak(50_000, 512, 256, kind);
     let per = |n, texels, side, count: f64| (peak(n, texels, side, kind) - smallest) / count;
@@ -85,7 +85,7 @@ fn rendering_takes_the_stated_bytes() {
     let texel = 16.0 * 341.0 / 256.0;
     let splat = 132.0 + 12.0 * SH_TERMS + PAIRS;
     check(Kind::Rendering, [splat + 4.0 * layers, texel, 16.0 + 24.0 * layers]);
-    // Of a software adapter, which may need several dispatches.
+    // A software adapter may need several dispatches, and more memory for them.
     let pixel = if Gpu::open(None).unwrap().profile().is_cpu { 80.0 } else { 64.0 } + 24.0 * layers;
     check(Kind::Layers(ImageModel::Ewa), [splat + 4.0 * layers, texel, pixel]);
     check(Kind::Layers(ImageModel::Ray(ShDirection::Mean)), [splat + 80.0, texel, pixel]);
@@ -95,11 +95,11 @@ fn rendering_takes_the_stated_bytes() {
 fn training_takes_the_stated_bytes() {
     let layers = f64::from(LAYERS);
     let per_splat = 332.0 + 48.0 * SH_TERMS + 4.0 * layers + TRAINING_PAIRS;
-    // Texels and gradients have mips, the two moments have none. Room is made for half as many splats again.
+    // Texels and gradients have mips, the two moments have none. Capacity is for half as many splats again.
     check(Kind::Training, [1.5 * per_splat, 16.0 * (2.0 * 341.0 / 256.0 + 2.0), 108.0 + 64.0 * layers]);
 }
 
-/// Parameters and moments of before lie beside the larger ones, but while what is made anew in every step does not.
+/// During growth, old parameters and moments coexist with the larger ones, but buffers that every step rewrites do not.
 #[test]
 fn growing_takes_what_the_larger_buffers_take() {
     let (before, after) = (40_000, 70_000);
@@ -109,12 +109,12 @@ fn growing_takes_what_the_larger_buffers_take() {
     let sources: Vec<Source> = (0..after).map(|i| Source::new(i % before)).collect();
     training.rearrange(&vec![0.0; after * GEOMETRY_FLOATS], &sources).unwrap();
     let (grown, made) = (gpu.peak_bytes() as f64, peak(after, 64, 64, Kind::Training));
-    // The list of what goes where is no part of the account.
+    // The list of row movements is not included in the computed size.
     assert!((0.99..1.01).contains(&(grown / made)), "{grown} bytes, not {made}");
 }
 
-/// Pairs of longer lists do not lie beside those before, neither when they grow, for a step or for a picture, nor when there are more splats
-/// for them.
+/// Growing lists of pairs does not keep the old ones, neither in a step or a rendering, nor when the number of splats
+/// grows.
 #[test]
 fn longer_lists_take_what_they_hold() {
     let (before, after) = (20_000, 35_000);
@@ -123,11 +123,11 @@ fn longer_lists_take_what_they_hold() {
         let more = pairs as f64 - 1.5 * 6.0 * n as f64;
         peak(n, 64, 64, Kind::Training) + TRAINING_PAIRS / 6.0 * more
     };
-    // What lists and blend hold of each splat does, for a moment: 84 and 40 bytes, and four per layer.
+    // The per-splat data of lists and blending do coexist for a moment: 84 and 40 bytes, and four per layer.
     let twice = 1.5 * (124.0 + 4.0 * f64::from(LAYERS)) * before as f64;
     let (mut scene, camera) = seen(before, 64, 64);
 
-    // Before all of the picture's 16 tiles: 320,000 pairs, where there is room for 180,000.
+    // In front of all of the picture's 16 tiles: 320,000 pairs, with a capacity of 180,000.
     let splats = scene.splats.clone().into_arrays();
     let wide = SplatArrays { log_scales: vec![Vec3::ZERO; before], ..splats }.check().unwrap();
     let narrow = std::mem::replace(&mut scene.splats, wide);
@@ -154,7 +154,7 @@ fn longer_lists_take_what_they_hold() {
     assert!((0.99..1.01).contains(&(grown / stated)), "{grown} bytes, not {stated}");
 }
 
-/// Captures of mixed sizes take what their largest pictures take.
+/// Captures with mixed picture sizes need the memory of their largest pictures.
 #[test]
 fn pictures_of_mixed_sizes_take_what_the_largest_do() {
     let peak = |sides: &[u32]| {
@@ -183,7 +183,7 @@ fn the_account_of_training_is_what_is_allocated() {
         };
         let (found, stated) =
             (peak(splats, texels as u32, side as u32, Kind::Training), training_bytes(&size).total() as f64);
-        // As above, of the counters.
+        // As above, for counters.
         assert!((found / stated - 1.0).abs() < 0.02, "{size:?}: {found} bytes, not {stated}");
     }
 }
@@ -217,7 +217,7 @@ fn the_account_of_moving_vertices_is_what_is_allocated() {
         training_bytes(&TrainingSize { triangles, vertices_move, layers: 1, ..TrainingSize::default() }).total() as f64
     };
     let (found, stated) = (peak(true) - peak(false), stated(true) - stated(false));
-    // A sheet has a few vertices more than half its triangles, by its rim.
+    // A sheet has slightly more vertices than half its triangles, because of its boundary.
     assert!((found / stated - 1.0).abs() < 0.02, "{found} bytes, not {stated}");
 }
 

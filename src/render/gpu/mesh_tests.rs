@@ -1,4 +1,4 @@
-//! The mesh layers against a brute-force oracle in f64: every pixel against every triangle, no tiles.
+//! The mesh layers compared with a brute-force oracle in f64: every pixel against every triangle, without tiles.
 
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3};
 
@@ -9,7 +9,7 @@ use super::texels::TexelStep;
 use super::view::{VIEW_WORDS, View};
 use crate::scene::{Atlas, Camera, Composition, Intrinsics, Mesh, Texture, sh};
 
-/// splitmix64 as numbers in [0, 1).
+/// splitmix64 as a generator of numbers in [0, 1).
 pub(super) struct Random(pub(super) u64);
 
 impl Random {
@@ -40,8 +40,8 @@ pub(super) fn atlas(random: &mut Random, degree: u32, size: u32) -> Atlas {
     Atlas::new(random.texture(2 * size, size, 4, 1.5), bands).unwrap()
 }
 
-/// Single triangles around z = 1..6 in camera space, among them ones through the near and camera planes, ones behind
-/// the camera and degenerate ones. UVs cover the map at densities that reach several mip levels.
+/// Random triangles around z = 1..6 in camera space, including ones through the near and camera planes, ones behind the
+/// camera and degenerate ones. UVs cover the map at densities that span several mip levels.
 pub(super) fn soup(random: &mut Random, n: usize, degree: u32) -> Mesh {
     let (mut positions, mut uvs) = (vec![], vec![]);
     for i in 0..n {
@@ -92,7 +92,7 @@ pub(super) fn view(width: u32, height: u32, rotation: DMat3, layers: u32, meshes
     View { band_degree: 3, n_triangles, ..View::of(&camera, Composition { layers, ..Composition::default() }) }
 }
 
-/// What a pixel sees of one triangle.
+/// Intersection of a pixel's ray with a triangle.
 #[derive(Clone, Copy)]
 pub(super) struct Hit {
     z: f64,
@@ -103,7 +103,7 @@ pub(super) struct Hit {
     direction: DVec3,
 }
 
-/// Barycentrics and depth at which ray `r` meets the triangle `v`, in camera space.
+/// Barycentric coordinates and depth of the intersection of ray `r` with triangle `v`, in camera space.
 fn intersect(v: [DVec3; 3], r: DVec3) -> Option<(DVec3, f64)> {
     let a = DVec3::new(r.dot(v[1].cross(v[2])), r.dot(v[2].cross(v[0])), r.dot(v[0].cross(v[1])));
     let sum = a.element_sum();
@@ -111,7 +111,7 @@ fn intersect(v: [DVec3; 3], r: DVec3) -> Option<(DVec3, f64)> {
     (inside && sum != 0.0).then(|| (a / sum, v[0].dot(v[1].cross(v[2])) / sum))
 }
 
-/// Hits of every pixel in order of depth, at most `layers`.
+/// Hits of every pixel sorted by depth, at most `layers`.
 pub(super) fn hits(view: &View, meshes: &[Mesh]) -> Vec<Vec<Hit>> {
     let (camera, k) = (&view.camera, view.camera.intrinsics());
     let mut triangles = vec![];
@@ -147,7 +147,7 @@ pub(super) fn hits(view: &View, meshes: &[Mesh]) -> Vec<Vec<Hit>> {
     (0..view.pixels()).map(pixel).collect()
 }
 
-/// One texel of one mip level: the mean of the level-0 texels under it.
+/// A texel of a mip level: the mean of the level-0 texels that it covers.
 fn mip_texel(t: &Texture, level: u32, x: u32, y: u32, c: u32) -> f64 {
     let side = 1 << level;
     let at = |i: u32| {
@@ -249,7 +249,7 @@ impl Rig {
             let color = DVec4::from_array(color.map(f64::from));
             let wanted = hit.map_or(DVec4::ZERO, |h| shade(h, meshes, view.band_degree));
             let relative = hit.map_or(f64::from(z), |h| (f64::from(z) - h.z) / h.z).abs();
-            // A pixel on an edge, or two surfaces at one depth: f32 may decide otherwise than f64.
+            // At an edge, or for two surfaces at one depth, f32 can decide differently from f64.
             mismatched += usize::from(relative > 1e-4);
             depth_error += relative;
             color_error += (color - wanted).abs().element_sum() / 4.0;
@@ -299,7 +299,7 @@ fn views_may_change_size() {
     }
 }
 
-/// 500 triangles that each cover the whole image of 24 tiles: more than the estimate of 4 · 500 + 16 · 24 pairs.
+/// 500 triangles that each cover the whole image of 24 tiles: more than the estimated 4 · 500 + 16 · 24 pairs.
 #[test]
 fn a_short_pair_list_grows() {
     let mut random = Random(3);
@@ -325,7 +325,8 @@ fn a_short_pair_list_grows() {
     rig.check(&view, &meshes, "after growing");
 }
 
-/// Numbers of threads do not come round to 0, in whichever rows they are dispatched: twice they would touch one bin of a triangle, and others never.
+/// Thread numbers must not overflow to 0, however dispatches are folded into rows: otherwise one bin of a triangle
+/// would be processed twice, and others never.
 #[test]
 fn threads_that_go_through_bins_can_be_numbered() {
     let (large, most_bins, row) = (1920 * 1080, 4096, 65_535 * 256);
@@ -335,7 +336,7 @@ fn threads_that_go_through_bins_can_be_numbered() {
     for triangles in [8_000_000, 8_470_001, 20_000_000, 80_000_000, usize::MAX] {
         let shares = binning_shares(triangles, large, most_bins);
         assert!(shares >= 1);
-        // No buffer has more triangles than that.
+        // Buffers cannot hold more triangles than this.
         if triangles <= 80_000_000 {
             let numbered = (triangles * shares).next_multiple_of(row);
             assert!(numbered <= 1 << 32, "{triangles} triangles, {shares} shares: {numbered} threads");
@@ -343,15 +344,15 @@ fn threads_that_go_through_bins_can_be_numbered() {
     }
 }
 
-/// The same surface with vertices of their own for each triangle.
+/// The same surface with separate vertices for each triangle.
 fn split(mesh: &Mesh) -> Mesh {
     let positions = mesh.triangles().iter().flatten().map(|&v| mesh.positions()[v as usize]).collect();
     let triangles = (0..mesh.triangles().len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
     Mesh::new(positions, triangles, mesh.corner_uvs().to_vec(), mesh.atlas().clone()).unwrap()
 }
 
-/// A closed surface has no cracks: every pixel inside its outline is covered, whatever the adapter's rounding, also where its triangles have
-/// copies of its vertices. More bins than are scanned at a time.
+/// A closed surface has no cracks: every pixel inside its silhouette is covered, whatever the adapter's rounding, even
+/// if triangles have copies of their vertices. There are more bins than are scanned at a time.
 #[test]
 fn a_dense_sphere_has_no_cracks() {
     let whole = sphere(200, 100, Vec3::new(0.0, 0.0, 2.0), 1.0, atlas(&mut Random(4), 0, 16));
@@ -370,7 +371,7 @@ fn assert_no_cracks(meshes: &[Mesh]) {
     for (i, &z) in (0_u32..).zip(&depths) {
         let r = camera.ray(DVec2::new(f64::from(i % SIDE) + 0.5, f64::from(i / SIDE) + 0.5)).normalize();
         let distance = (center - r * center.dot(r)).length();
-        // Chords of the tessellation lie within 0.1 % of the radius.
+        // Chords of the tessellation deviate from the radius by less than 0.1 %.
         if distance < 0.998 {
             let front = r.z * (center.dot(r) - (1.0 - distance * distance).sqrt());
             assert!((f64::from(z) - front).abs() < 0.05, "pixel {i}: {z} instead of {front}");
@@ -380,7 +381,7 @@ fn assert_no_cracks(meshes: &[Mesh]) {
     }
 }
 
-/// Nothing is dispatched and next to nothing allocated without meshes.
+/// Without meshes nothing is dispatched and almost nothing is allocated.
 #[test]
 fn no_mesh_costs_nothing() {
     let view = view(64, 64, DMat3::IDENTITY, 4, &[]);
@@ -396,7 +397,8 @@ fn no_mesh_costs_nothing() {
     assert!(rig.gpu.peak_bytes() < 20_000, "{} bytes", rig.gpu.peak_bytes());
 }
 
-/// Not a test of correctness: prints the time of every stage. `cargo test --release stage_times -- --ignored --nocapture`
+/// Prints the time of every stage; not a test of correctness. `cargo test --release stage_times -- --ignored
+/// --nocapture`
 #[test]
 #[ignore = "a measurement"]
 fn stage_times() {

@@ -103,7 +103,7 @@ mod tests {
         for (view, moves) in [(1, true), (2, false), (0, true), (2, true)] {
             views.count(view, moves);
         }
-        // The last three changed nothing, one of which counted for no view.
+        // The last three steps changed nothing, and one of them belonged to no view.
         views.settle(3);
         assert_eq!(views.read(&gpu).unwrap(), PerView { steps: vec![2, 1, 0], ..PerView::beginning_at([0.5], 3) });
         views.count(2, true);

@@ -84,13 +84,14 @@ mod tests {
             assert!(shown[..bytes].iter().all(|v| *v == shown[0]));
             shown[0]
         };
-        // Without room every one is sent.
+        // Without capacity every photograph is uploaded.
         assert_eq!([(1, 0), (2, 0)].map(|(v, n)| show(&mut photographs, v, 64, Some(n))), [1, 2]);
         photographs.keep(150);
-        // Others under their numbers would show if they were sent again. There is no room for the third, nor is one without number kept.
+        // Different content under the same number would show if it were uploaded again. There is no room for the third
+        // photograph, and photographs without a number are not kept.
         let shown = [(3, Some(0)), (4, Some(1)), (5, Some(0)), (6, Some(1)), (7, Some(2)), (8, Some(2)), (9, None)];
         assert_eq!(shown.map(|(v, n)| show(&mut photographs, v, 64, n)), [3, 4, 3, 4, 7, 8, 9]);
-        // One of another size takes the place of that before, and what it leaves has room for others.
+        // A photograph of another size replaces the previous one with its number, and the space freed can hold others.
         let shown = [(10, 16, 1), (11, 16, 1), (12, 64, 2), (13, 64, 2), (14, 64, 1), (15, 64, 1)];
         assert_eq!(shown.map(|(v, bytes, n)| show(&mut photographs, v, bytes, Some(n))), [10, 10, 12, 12, 14, 15]);
         photographs.keep(0);

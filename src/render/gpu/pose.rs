@@ -179,7 +179,7 @@ mod tests {
         scene::OrderMode,
     };
 
-    /// More than there are threads, a third of which the view does not see, and that pull harder the later they come.
+    /// More splats than threads; the view does not see a third of them, and gradients increase with the index.
     #[test]
     fn all_of_many_splats_pull() {
         const N: usize = 70_000;
@@ -212,10 +212,10 @@ mod tests {
         let seen = || (0..N).filter(|i| is_seen(*i));
         for axis in 0..3 {
             let turn: f64 = seen().map(|i| f64::from(by_turn[i][axis])).sum();
-            // As much as the means, turned round.
+            // Equal to the gradient of the means with opposite sign.
             let shift: f64 = seen().map(|i| -f64::from(by_geometry[i][0][axis])).sum();
             for (i, expected) in [(axis, turn), (4 + axis, shift)] {
-                // Adam's first moment of the first step is a tenth of the gradient.
+                // Adam's first moment after the first step is a tenth of the gradient.
                 let found = 10.0 * f64::from(first[i]);
                 assert!((found / expected - 1.0).abs() < 1e-5, "{i}: {found}, not {expected}");
             }

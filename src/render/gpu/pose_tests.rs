@@ -1,4 +1,4 @@
-//! Poses against finite differences of the f64 reference, and what their steps do.
+//! Gradients of poses compared with finite differences of the f64 reference, and effects of pose steps.
 
 use glam::{DMat3, DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -20,10 +20,10 @@ use crate::{
 const RATES: SplatRates =
     SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
 const POSE: PoseStep = PoseStep { view: 1, turn_rate: 1e-3, shift_rate: 2e-3 };
-/// Rotation vector and shift of the view above.
+/// Rotation vector and translation of the trained view's correction.
 const CHANGE: [DVec3; 2] = [DVec3::new(0.02, -0.03, 0.05), DVec3::new(-0.04, 0.03, 0.05)];
 
-/// Of three views, the middle one of which has the change above.
+/// Corrections of three views, of which only the middle one is not zero.
 fn poses() -> PoseState {
     let mut state = PoseState::new(3);
     for (at, v) in [0, 4].into_iter().zip(CHANGE) {
@@ -37,7 +37,7 @@ fn changed(camera: &Camera, [turn, shift]: [DVec3; 2]) -> Camera {
     Camera::new(*camera.intrinsics(), rotation, -(rotation * (camera.center() + shift))).unwrap()
 }
 
-/// 0 or 255, so that no difference changes its sign near the pictures here.
+/// Photograph with values 0 or 255, so that no difference changes sign near the rendered values.
 fn truth(camera: &Camera) -> Vec<u8> {
     let k = camera.intrinsics();
     (0..k.width * k.height)
@@ -77,7 +77,7 @@ fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<P
         .unwrap();
 }
 
-/// Mean absolute difference of what the reference renders from the truth.
+/// Mean absolute difference between the reference's rendering and the photograph.
 fn l1(scene: &HybridScene, camera: &Camera, truth: &[u8]) -> f64 {
     let picture = reference::render(scene, camera);
     let of_pixel = |(p, rgb): (usize, &[f64; 3])| {
@@ -86,7 +86,7 @@ fn l1(scene: &HybridScene, camera: &Camera, truth: &[u8]) -> f64 {
     picture.rgb.iter().enumerate().map(of_pixel).sum::<f64>() / (3 * picture.rgb.len()) as f64
 }
 
-/// Trains one step, and compares with differences of `h` each way.
+/// Trains one step, and compares the gradient with central differences of step `h`.
 fn assert_gradient(gpu: &Gpu, mut scene: HybridScene, camera: &Camera, h: f64, tolerance: f64) {
     scene.meshes.clear();
     scene.composition.background = [0.3, 0.2, 0.1];
@@ -94,7 +94,7 @@ fn assert_gradient(gpu: &Gpu, mut scene: HybridScene, camera: &Camera, h: f64, t
     assert_gradient_of(training, &scene, camera, h, tolerance);
 }
 
-/// The same of a training that was made before.
+/// [`assert_gradient`] for an existing training.
 fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Camera, h: f64, tolerance: f64) {
     training.refine_poses(&poses()).unwrap();
     step(&mut training, camera, scene.splats.sh_degree(), Some(POSE));
@@ -106,7 +106,7 @@ fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Came
     let truth = truth(camera);
     assert!((training.loss().unwrap().l1 - l1(scene, &changed(camera, CHANGE), &truth)).abs() < 1e-5);
 
-    // Adam's first moment of the first step is a tenth of the gradient.
+    // Adam's first moment after the first step is a tenth of the gradient.
     for part in 0..2 {
         let found = |axis: usize| f64::from(10.0 * after.moments[0][FLOATS + 4 * part + axis]);
         let largest = (0..3).map(|axis| found(axis).abs()).fold(0.0, f64::max);
@@ -119,13 +119,13 @@ fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Came
             };
             let (numeric, found) = ((at(h) - at(-h)) / (2.0 * h), found(axis));
             assert!((numeric - found).abs() < tolerance * largest, "{part}.{axis}: {found}, differences say {numeric}");
-            // And the step is one of Adam: by the rate, against the gradient.
+            // The step is one of Adam: by the learning rate, against the gradient.
             let i = FLOATS + 4 * part + axis;
             let (moved, rate) = (after.values[i] - poses().values[i], [POSE.turn_rate, POSE.shift_rate][part]);
             assert!((moved + rate * numeric.signum() as f32).abs() < 1e-6, "{i}: {moved}");
         }
     }
-    // The other views rest.
+    // Other views are unchanged.
     for other in [0, 2] {
         assert_eq!(after.of(other), [DVec3::ZERO; 2]);
     }
@@ -136,19 +136,20 @@ fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Came
 fn gradients_are_those_of_the_reference() {
     let gpus = [Gpu::open(None).unwrap(), Gpu::with_subgroups(false)];
     for gpu in gpus.into_iter().chain([Gpu::open(None).unwrap().posing_as_gpu()]) {
-        // Smooth: with each pixel filter, far differences.
+        // A smooth scene with each pixel filter, and large differences.
         for filter in [PixelFilter::DILATION, PixelFilter::MIP] {
             let (mut scene, camera) = testing::smooth_scene(7, 1, OrderMode::Stable);
             scene.composition.pixel_filter = filter;
             assert_gradient(&gpu, scene, &camera, 1e-5, 2e-4);
         }
-        // More than a workgroup, some of them beyond the edges: so near that no pixel crosses a threshold.
+        // More splats than a workgroup has threads, some of them outside the picture: the difference is so small that
+        // no pixel crosses a threshold.
         let (scene, camera) = testing::random_scene(5, 300, 0, 2, 1, OrderMode::Stable);
         assert_gradient(&gpu, scene, &camera, 1e-8, 2e-4);
     }
 }
 
-/// Everything that only some runs have at once, begun with fewer splats than there is room for later.
+/// All optional features at once, starting with fewer splats than the final capacity.
 #[test]
 fn more_splats_than_there_was_room_for_pull_at_poses() {
     let gpu = Gpu::open(None).unwrap();
@@ -218,7 +219,7 @@ fn what_all_have_in_common_is_taken_out() {
         let words = change.map(|v| [v.x as f32, v.y as f32, v.z as f32, 0.0]);
         state.values[FLOATS * view..FLOATS * (view + 1)].copy_from_slice(words.as_flattened());
     };
-    // A small similarity, as all cameras see it: nothing of it is left, but for its square.
+    // A small similarity common to all cameras is removed, up to its square.
     let mut common = PoseState::new(31);
     let (shift, turn, growth) = (DVec3::new(1e-3, -2e-3, 1e-3), DVec3::new(2e-3, 1e-3, -1e-3), 3e-3);
     for (i, camera) in cameras.iter().enumerate() {
@@ -232,7 +233,7 @@ fn what_all_have_in_common_is_taken_out() {
     assert!(largest(&common) > 1e-3 && largest(&centered) < 1e-8, "{}", largest(&centered));
     assert_eq!(centered.of(30), of_others, "a view that is not among them rests");
 
-    // What is random remains, but for so much; and on top of something common the same remains.
+    // Random corrections remain up to a small change; with a common part added, the same remains.
     let mut random = PoseState::new(31);
     let mut with_common = PoseState::new(31);
     for i in views.clone() {

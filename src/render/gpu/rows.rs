@@ -146,7 +146,8 @@ mod tests {
         scene::OrderMode,
     };
 
-    /// Fewer splats, another order, copies, more than there is room for, none: all as on the host, to the bit, also by folded dispatches.
+    /// Fewer splats, another order, copies, more splats than the capacity, and none: all equal the host's result bit by
+    /// bit, also with folded dispatches.
     #[test]
     fn what_the_gpu_gathers_is_what_the_host_does() {
         let n = 300;
@@ -165,7 +166,7 @@ mod tests {
                 sh_m: random(n * sh_floats),
                 sh_v: random(n * sh_floats),
             };
-            // Second moments may be subnormal.
+            // Second moments can be subnormal.
             all.sh_v.iter_mut().step_by(3).for_each(|v| *v *= f32::MIN_POSITIVE / 2.0);
             let orders: [Vec<Source>; 5] = [
                 (0..n).step_by(2).map(Source::new).collect(),

@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn scan_equals_a_running_sum() {
-        // Folded into rows of 10 workgroups, as more than 65,535 would be.
+        // Folded into rows of 10 workgroups, as dispatches of more than 65,535 are.
         for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().narrowed(10)] {
             check(&gpu);
         }
@@ -155,7 +155,7 @@ mod tests {
                 );
                 let needed = items.min(capacity).div_ceil(block);
                 assert!((needed..needed + widest).contains(&(x * y)), "{items}: {x} {y}");
-                // Kernels take rows for that wide.
+                // Kernels assume rows of this width.
                 assert!(y == 1 || x == widest, "{items}: {x} {y}");
             }
         }
@@ -191,7 +191,7 @@ mod tests {
             gpu.write(&counts, 0, &[7, n as u32, 8, 9]);
             let mut frame = Frame::new(gpu);
             sizes.record(&mut frame);
-            // By every other count also as the host would say it.
+            // Every other count is given by the host.
             let items = if n % 2 == 0 { Items::Known(n) } else { Items::Counted(&sizes) };
             scan.record(&mut frame, items);
             frame.submit();

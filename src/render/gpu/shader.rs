@@ -273,7 +273,7 @@ mod tests {
 
     use super::*;
 
-    /// What is not in the list is missed only where a kernel is made of it.
+    /// A shader missing in the list would otherwise be noticed only when a kernel uses it.
     #[test]
     fn every_shader_is_embedded() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");

@@ -75,7 +75,7 @@ mod tests {
     use crate::render::gpu::splats::SplatBuffers;
     use crate::scene::{Intrinsics, Splats};
 
-    /// Looks along +z from (0, 0, −`distance`).
+    /// A camera at (0, 0, −`distance`) that looks along +z.
     fn camera(distance: f64, focal: f64) -> Camera {
         let k = Intrinsics { width: 100, height: 80, fx: focal, fy: 0.5 * focal, cx: 40.0, cy: 40.0 };
         Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, distance)).unwrap()
@@ -85,8 +85,8 @@ mod tests {
     fn the_finest_view_that_sees_a_splat_decides() {
         let gpu = Gpu::open(None).unwrap();
         let smoothing = Smoothing::new(&gpu, &[camera(4.0, 100.0), camera(1.0, 50.0)], 0.2).unwrap();
-        // In the middle of both; far to the right of the second; seen by none; behind the second; at the margin's edge of the
-        // second, 0.15·100 px beyond its right side, and just beyond.
+        // In the middle of both; far to the right of the second; visible in none; behind the second; at the border of
+        // the second's margin, 0.15·100 px beyond its right side, and just beyond.
         let edge = (115.0 - 40.0) / 50.0;
         let means = [
             [0.0, 0.0, 1.0],
@@ -110,7 +110,7 @@ mod tests {
         buffers.write(&gpu, &splats);
         smoothing.run(&gpu, &buffers.geometry, n);
         let geometry: Vec<f32> = gpu.read(&buffers.geometry, 12 * n).unwrap();
-        // Depth over focal length, in the finer view of those that see it.
+        // Depth divided by focal length, for the finer of the views that see the splat.
         let pixel = [2.0 / 50.0, 4.0 / 100.0, 5.0 / 100.0, 2.0 / 100.0, 2.0 / 50.0, 5.0 / 100.0];
         for (i, pixel) in pixel.into_iter().enumerate() {
             let found = geometry[12 * i + 11];

@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(compiled[0], compiled[1]);
     }
 
-    /// `sort_is_stable_at_every_length` holds either to what it does.
+    /// `sort_is_stable_at_every_length` checks the result in either case.
     #[test]
     fn chunks_are_no_longer_than_loops_go_on() {
         let gpu = Gpu::open(None).unwrap().posing_as_cpu();
@@ -204,7 +204,7 @@ mod tests {
     #[test]
     fn sort_is_stable_at_every_length() {
         let gpu = Gpu::open(None).unwrap();
-        // 147 blocks of the longest list are folded into 15 rows of 10, three of them too many.
+        // The 147 blocks of the longest list are folded into 15 rows of 10, three of them in excess.
         let narrow = Gpu::open(None).unwrap().narrowed(10);
         let mut rng = Pcg32::seed_from_u64(2);
         let capacity = 300_000; // more than a full set of shortest chunks, and several rounds of the histogram scan
@@ -214,7 +214,7 @@ mod tests {
                 let mut lists: Vec<Vec<u32>> =
                     lengths.iter().map(|&n| (0..n).map(|_| rng.random()).collect()).collect();
                 lists.push(vec![0xdead_beef; 5000]);
-                // As high as what fills up the last block.
+                // Keys as high as those that pad the last block.
                 lists.push((0..5000).map(|i| if i % 3 == 0 { 7 } else { u32::MAX }).collect());
                 lists.push((0..5000).rev().collect());
                 check(&gpu, width, bits, capacity, &lists);

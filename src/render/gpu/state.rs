@@ -139,7 +139,7 @@ pub(crate) mod tests {
     use crate::render::testing::largest;
     use crate::scene::{Camera, Composition, HybridScene, Intrinsics};
 
-    /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, unequal SH, and moments that are nowhere zero.
+    /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, different SH coefficients, and non-zero moments.
     pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
         let mut s = SplatState { sh_degree, ..SplatState::default() };
         for i in 0..n {

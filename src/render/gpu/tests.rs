@@ -1,4 +1,4 @@
-//! The GPU pipeline against the f64 reference: images, gradients, limits.
+//! The GPU pipeline compared with the f64 reference: images, gradients, limits.
 
 use std::f64::consts::PI;
 
@@ -26,7 +26,7 @@ use crate::{
     },
 };
 
-/// Renders on the GPU; with a cotangent also returns the gradients of every splat parameter.
+/// Renders on the GPU; with a cotangent, also returns the gradients of all splat parameters.
 fn gpu_frame(
     gpu: &Gpu,
     scene: &HybridScene,
@@ -37,8 +37,9 @@ fn gpu_frame(
     (image, gradients)
 }
 
-/// The same of splats that show bands up to `active` only, and are smoothed, by `deviations` or not at all, with the slopes of the loss by pixels'
-/// disparities beside their cotangents, and the statistics of density control `[N]`.
+/// [`gpu_frame`] for splats that show SH bands up to `active` and are smoothed by `deviations`, if given, with
+/// derivatives of the loss by the pixels' disparities beside their cotangents. Also returns the statistics of density
+/// control `[N]`.
 fn special_frame(
     gpu: &Gpu,
     scene: &HybridScene,
@@ -111,7 +112,7 @@ fn special_frame(
     (rendered, gradients, statistics)
 }
 
-/// Frame and way back of the scene as this camera sees it.
+/// Forward and backward pass for the scene as seen by this camera.
 fn differentiable(gpu: &Gpu, scene: &HybridScene, camera: &Camera) -> (Pipeline, Backward) {
     let status = status_buffer(gpu).unwrap();
     let pipeline = Pipeline::new(gpu, scene, 0, &[*camera], Some(&status)).unwrap();
@@ -119,38 +120,44 @@ fn differentiable(gpu: &Gpu, scene: &HybridScene, camera: &Camera) -> (Pipeline,
     (pipeline, backward)
 }
 
-/// f32 depths, alphas and barycentrics resolve decisions down to about this.
+/// Margin within which f32 depths, alphas and barycentric coordinates may decide differently.
 const TOLERANCE: Margin = Margin { alpha: 1e-4, order: 1e-5, edge: 1e-4, stop: 1e-3 };
 
-/// Of a colour, half of what a splat at the cut adds: one that is missed or blended twice shows.
+/// Largest error of a colour, half of the contribution of a splat at the cut-off: a splat that is missed or blended
+/// twice exceeds it.
 const MOST: f64 = 2e-3;
-/// Of the mean, some ten times what is found with lavapipe; an order or a filter that differs adds fifty times as much.
+/// Largest mean error, about ten times that with lavapipe; another order or filter adds fifty times as much.
 const MEAN: f64 = 2e-5;
-/// No colour of the scenes here is brighter.
+/// Upper bound of all colours in these scenes.
 const BRIGHTEST: f64 = 2.0;
-/// Of a pixel whose alphas are close to the cut, weights that come or go: two splats.
+/// Blend weight that may change in a pixel with alphas close to the cut-off: that of two splats.
 const CUT_WEIGHT: f64 = 2.0 / 255.0;
-/// The same where the stop is close: alphas are capped at 0.99, so that no more than this is left where one takes the transmittance below 1e-4.
+/// Blend weight that may change if the stop is close: alphas are capped at 0.99, so at most this much is left where one
+/// takes the transmittance below 1e-4.
 const STOP_WEIGHT: f64 = 1e-2;
-/// Of the gradient of a class of parameters: found are some 1e-6, and 1e-5 is what WGSL grants `exp` and `inverseSqrt` of an adapter; a
-/// term that is left out is worth per cents.
+/// Relative error of the gradient of a parameter class: actual errors are about 1e-6, and WGSL allows errors of 1e-5 in
+/// `exp` and `inverseSqrt`; a missing term would change some per cent.
 const GRADIENT: f64 = 1e-4;
-/// The same of needles, in whose gradients digits cancel.
+/// The same for needles, whose gradients suffer from cancellation.
 const NEEDLE_GRADIENT: f64 = 1e-3;
-/// The same of vertices, and of texels beside a face that pulls twenty times as hard: sums in fixed point.
+/// The same for vertices, and for texels beside a face with gradients twenty times as large: their sums are in fixed
+/// point.
 const FIXED_GRADIENT: f64 = 1e-3;
-/// Of each number of a gradient: of itself, and of the largest of its class, as terms that cancel in one may be as large as that.
+/// Allowed error of a single number of a gradient: relative to itself, and relative to the largest of its class, which
+/// bounds the terms that may cancel.
 const OF_ITSELF: f64 = 1e-3;
 const OF_LARGEST: f64 = 1e-5;
 /// The same of texels, whose sums are in fixed point: a third of it is found.
 const OF_LARGEST_TEXEL: f64 = 3e-4;
 
-/// Of a scene's pixels, a fifth: found is a sixth where 5,000 splats lie among meshes, and which they are the reference alone says.
+/// Largest excused share of a scene's pixels, one fifth: a sixth occurs with 5,000 splats among meshes, and the
+/// reference alone decides which pixels.
 const EXCUSED: usize = 5;
-/// Of the excused pixels of all scenes, a fifth at most: that f32 decides otherwise where a decision is close is rare.
+/// Share of the excused pixels of all scenes that may differ, one fifth: even close decisions rarely differ in f32.
 const DECIDED_OTHERWISE: usize = 5;
 
-/// Pixels that a decision is close in, those of them that differ, and those of each kind of decision; a pixel may be of several.
+/// Number of pixels with a close decision, of those among them that differ, and of each kind of decision; a pixel can
+/// have several.
 #[derive(Default)]
 struct Excused {
     pixels: usize,
@@ -158,15 +165,15 @@ struct Excused {
     by_kind: [usize; 4],
 }
 
-/// By how much a pixel may differ in which decisions of these kinds are close: by weights that come or go, or by anything that its list can show in
-/// another order, or without one of its layers.
+/// Largest difference of a pixel with close decisions of these kinds: by weights that may change, or by the whole range
+/// of colours if the order or a layer may change.
 fn excused_difference([alpha, order, edge, stop]: [bool; 4]) -> f64 {
     let of = |close: bool, weight: f64| if close { weight } else { 0.0 };
     let weight = if order || edge { 1.0 } else { of(alpha, CUT_WEIGHT) + of(stop, STOP_WEIGHT) };
     BRIGHTEST * weight + MOST
 }
 
-/// Mean and largest difference over pixels that no decision is close in, and the others, which are few.
+/// Mean and largest difference over pixels without close decisions, and the excused pixels.
 fn compare(found: &Image, scene: &HybridScene, camera: &Camera) -> (f64, f64, Excused) {
     let (expected, margins) = reference::render_with_margins(scene, camera);
     let (mut sum, mut most, mut excused) = (0.0, 0.0_f64, Excused::default());
@@ -200,19 +207,19 @@ fn images_equal_the_reference() {
     let hardware = [true, false].map(|subgroups| Gpu::open_restricted(None, subgroups).unwrap().posing_as_gpu());
     let (mut pixels, mut all, mut worst) = (0, Excused::default(), [0.0_f64; 2]);
     for seed in 0..54_usize {
-        // Every number of splats with every number of layers in every mode; beside each of these every number of meshes and every
-        // degree, in turns that are not those of one another.
+        // All combinations of splat counts, layer counts and modes; mesh counts and degrees are cycled independently
+        // beside them.
         let (size, rule) = (seed % 6, seed / 6);
         let n = [0, 1, 40, 300, 1500, 5000][size];
         let (layers, mode) = ([1, 2, 4][rule % 3], MODES[rule / 3]);
-        // A splat alone may lie outside.
+        // A single splat could lie outside of the picture.
         let n_meshes = if n > 1 { [1, 2, 0, 3][(size + rule) % 4] } else { 1 + (rule + rule / 3) % 3 };
         let sh_degree = ((size + rule / 2) % 4) as u32;
         let (scene, camera) = testing::random_scene(seed as u64, n, n_meshes, sh_degree, layers, mode);
         let (found, _) = gpu_frame(&gpu, &scene, &camera, None);
         assert!(found.transmittance.iter().any(|rest| *rest < 0.9), "scene {seed} shows nothing");
         let (mean, most, excused) = compare(&found, &scene, &camera);
-        // The kernels of hardware, where lists are longer than what they read at once.
+        // The kernels for hardware, with lists longer than what they read at once.
         if n == 1500 {
             let (found, _) = gpu_frame(&hardware[rule % 2], &scene, &camera, None);
             let (mean, most, _) = compare(&found, &scene, &camera);
@@ -240,7 +247,7 @@ fn images_equal_the_reference() {
         Margin::KINDS,
         all.by_kind
     );
-    // Twice as many as there are.
+    // Twice the actual number.
     assert!(all.pixels * 35 < pixels, "{} of {pixels} pixels are threshold pixels", all.pixels);
     assert!(
         DECIDED_OTHERWISE * all.differing < all.pixels,
@@ -250,7 +257,7 @@ fn images_equal_the_reference() {
     );
 }
 
-/// The paper's figure, as the reference has it (`two_rays_disagree_in_direct_order_only`), as f32.
+/// The paper's figure, as in the reference (`two_rays_disagree_in_direct_order_only`), in f32.
 #[test]
 fn two_rays_disagree_in_direct_order_only() {
     let gpu = Gpu::open(None).unwrap();
@@ -264,7 +271,7 @@ fn two_rays_disagree_in_direct_order_only() {
     }
 }
 
-/// What a renderer cannot do is an error, after which it still does what it can.
+/// An unsupported request is an error, after which the renderer still works.
 #[test]
 fn a_picture_larger_than_announced_is_refused() {
     let gpu = Gpu::open(None).unwrap();
@@ -289,7 +296,7 @@ fn a_picture_larger_than_announced_is_refused() {
     assert!(matches!(Renderer::new(&gpu, &scene, &[camera]), Err(GpuError::Scene(_))));
 }
 
-/// As images with more than 65,535 workgroups in a dispatch.
+/// Like images that need more than 65,535 workgroups in a dispatch.
 #[test]
 fn folded_dispatches_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap().narrowed(7);
@@ -301,7 +308,7 @@ fn folded_dispatches_equal_the_reference() {
     }
 }
 
-/// A near plane of others that is as good as 0, before a scene that is far from it.
+/// A near plane of a foreign file that is practically 0, with a scene far from it.
 #[test]
 fn depths_are_ordered_far_from_a_tiny_near_plane() {
     let gpu = Gpu::open(None).unwrap();
@@ -317,7 +324,7 @@ fn depths_are_ordered_far_from_a_tiny_near_plane() {
     assert!(mean < MEAN && most < MOST, "mean {mean:e}, max {most:e}");
 }
 
-/// As those of models in the coordinates of the earth are, a thousand times as far as they are large.
+/// Like models in geographic coordinates, at a thousand times their own size from the origin.
 #[test]
 fn scenes_far_from_the_origin_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap();
@@ -341,14 +348,14 @@ fn scenes_far_from_the_origin_equal_the_reference() {
     }
 }
 
-/// Needles of up to some thousand pixels that pass a small part of a large picture, far from their centres.
+/// Needles of up to about a thousand pixels of which a large picture shows a small part, far from their centres.
 #[test]
 fn needles_are_those_of_the_reference_far_from_their_centres() {
     let gpu = Gpu::open(None).unwrap();
     let intrinsics = Intrinsics { width: 64, height: 48, fx: 2000.0, fy: 2000.0, cx: 1500.3, cy: 1100.6 };
     let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap();
     let depth = 2.0;
-    // Where the ray of the picture's middle is at that depth.
+    // Point on the ray through the picture's middle at this depth.
     let middle =
         depth * DVec3::new((32.0 - intrinsics.cx) / intrinsics.fx, (24.0 - intrinsics.cy) / intrinsics.fy, 1.0);
     for deviation in [300.0, 1000.0, 2000.0] {
@@ -387,7 +394,7 @@ fn relative(found: impl Iterator<Item = f64>, expected: impl Iterator<Item = f64
     (difference / norm.max(1e-30)).sqrt()
 }
 
-/// Numbers of one kind, of one mesh where they are texels.
+/// Numbers of one parameter class; for texels, of one mesh.
 struct Class {
     name: String,
     found: Vec<f64>,
@@ -414,7 +421,7 @@ impl Class {
     }
 }
 
-/// All parameter classes that the scene has.
+/// All parameter classes of the scene.
 fn classes(found: &Parameters, expected: &Parameters) -> Vec<Class> {
     let flat = |v: &[DVec3]| v.iter().flat_map(DVec3::to_array).collect::<Vec<_>>();
     let named = |p: &Parameters| {
@@ -441,12 +448,12 @@ fn classes(found: &Parameters, expected: &Parameters) -> Vec<Class> {
     pairs.map(class).filter(|class| !class.expected.is_empty()).collect()
 }
 
-/// Relative errors of all parameter classes that the scene has.
+/// Relative errors of all parameter classes of the scene.
 fn class_errors(found: &Parameters, expected: &Parameters) -> Vec<(String, f64)> {
     classes(found, expected).into_iter().map(|class| (class.name.clone(), class.error())).collect()
 }
 
-/// Every class as a whole, and every number of it.
+/// Checks every class as a whole, and every number in it.
 fn check_gradients(found: &Parameters, expected: &Parameters, case: &str) {
     let classes = classes(found, expected);
     assert!(classes.len() >= 5, "{case}");
@@ -470,7 +477,8 @@ fn random_cotangent(camera: &Camera, seed: u64) -> Image {
     }
 }
 
-/// What density control goes by: the norm of the centre's gradient where the picture is two wide and two high, views, weight.
+/// Checks the statistics of density control: the norm of the centre's gradient in a picture 2 wide and 2 high, number
+/// of views, and weight.
 fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics], camera: &Camera) {
     let k = camera.intrinsics();
     let half = 0.5 * k.size();
@@ -485,12 +493,12 @@ fn check_statistics(found: &[[f32; 4]], expected: &[reference::ScreenStatistics]
     }
 }
 
-/// Every parameter class, mips included, with and without subgroups. The reference's own gradients
-/// are proven by finite differences (`render/reference`); on these scenes no decision changes within f32's reach.
+/// All parameter classes, including mips, with and without subgroups. The reference's own gradients are tested by
+/// finite differences (`render/reference`); in these scenes no decision is within the reach of f32.
 #[test]
 fn gradients_equal_the_reference() {
     let restricted = [true, false].map(|subgroups| (Gpu::with_subgroups(subgroups), 6));
-    // Kernels as they are on GPUs take their time on a software adapter.
+    // The kernels for GPUs are slow on a software adapter.
     let without = Gpu::with_subgroups(false);
     let others = [
         (Gpu::open(None).unwrap().posing_as_gpu(), 2),
@@ -523,7 +531,7 @@ fn gradients_equal_the_reference() {
     }
 }
 
-/// Bands of splats that are stored, and not active yet, are neither seen nor learnt; of any degree that is stored.
+/// SH bands that are stored but not yet active are neither visible nor trained; for all stored degrees.
 #[test]
 fn bands_that_are_not_active_are_as_if_they_were_not_there() {
     let gpu = Gpu::open(None).unwrap();
@@ -542,7 +550,7 @@ fn bands_that_are_not_active_are_as_if_they_were_not_there() {
         let expected = reference::render(&fewer, &camera);
         let pairs = image.rgb.iter().flatten().zip(expected.rgb.iter().flatten());
         let most = testing::largest(pairs.map(|(a, b)| (a - b).abs()));
-        // A few wide splats: rounding alone.
+        // A few wide splats: only rounding differs.
         assert!(most < 1e-5, "{case}: {most:e}");
 
         let [terms, learnt] = [stored, active].map(sh::coefficients);
@@ -557,7 +565,8 @@ fn bands_that_are_not_active_are_as_if_they_were_not_there() {
     }
 }
 
-/// A small triangle whose corners have one place in the map, with the largest gradients: those of the wall around it are as fine as without it.
+/// A small triangle whose corners have equal UVs, with the largest gradients, must not make the gradients of the wall
+/// around it coarser.
 #[test]
 fn a_face_at_one_place_of_the_map_leaves_others_their_gradients() {
     const SIDE: usize = 64;
@@ -582,7 +591,7 @@ fn a_face_at_one_place_of_the_map_leaves_others_their_gradients() {
         pixels_of_face += usize::from(is_face);
     }
     assert!((200..400).contains(&pixels_of_face), "{pixels_of_face}");
-    // The wall does not reach the last columns of the map.
+    // The wall does not cover the last columns of the map.
     let of_wall = |p: &Parameters| -> Vec<f64> {
         p.base[0].iter().enumerate().filter(|(i, _)| i / 4 % SIDE < 54).map(|(_, g)| *g).collect()
     };
@@ -595,8 +604,8 @@ fn a_face_at_one_place_of_the_map_leaves_others_their_gradients() {
     }
 }
 
-/// The sums over pixels of |∂L/∂u| and |∂L/∂v| are those of pictures whose cotangent is 0 but for one pixel, which one kind of kernels is asked
-/// for: there are thousands.
+/// The sums over pixels of |∂L/∂u| and |∂L/∂v| equal those of single-pixel cotangents added up. One kind of kernels
+/// computes these, since there are thousands.
 #[test]
 fn absolute_gradients_are_those_of_every_pixel_alone() {
     let mut expected: Option<Vec<[f64; 2]>> = None;
@@ -654,7 +663,7 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
     }
 }
 
-/// Filters about as wide as the splats, and as narrow as they are in training.
+/// Filters about as wide as the splats, and as narrow as in training.
 #[test]
 fn filters_equal_the_reference() {
     let gpu = Gpu::open(None).unwrap();
@@ -673,11 +682,11 @@ fn filters_equal_the_reference() {
         let pairs = image.rgb.iter().flatten().zip(reference.rgb.iter().flatten());
         let most = testing::largest(pairs.map(|(a, b)| (a - b).abs()));
         eprintln!("{variance} px², {deviation}: image {most:.1e}");
-        // A few wide splats: rounding alone.
+        // A few wide splats: only rounding differs.
         assert!(most < 1e-5, "{variance} px², {deviation}: {most:e}");
         check_gradients(&found.unwrap(), &expected, &format!("{variance} px², {deviation}"));
     }
-    // Needles of hundreds of pixels along no axis of the picture: what is left of their gradients when digits cancel.
+    // Needles of hundreds of pixels along no axis of the picture: their gradients suffer from cancellation.
     for long in [2.0, 4.0, 5.0] {
         let (mut scene, camera) = testing::smooth_scene(3, 2, OrderMode::Stable);
         scene.composition.pixel_filter = PixelFilter::MIP;
@@ -691,7 +700,7 @@ fn filters_equal_the_reference() {
         eprintln!("needles e^{long} times as long: {errors:?}");
         assert!(errors.iter().all(|(_, error)| *error < NEEDLE_GRADIENT), "e^{long}: {errors:?}");
     }
-    // Splats from far below a pixel to many, and needles, some with a deviation of some thousand pixels.
+    // Splats from far below a pixel to many pixels, and needles, some with a deviation of about a thousand pixels.
     for seed in 0..8 {
         let (mut scene, camera) = testing::random_scene(seed, 800, 1, 1, 2, OrderMode::Stable);
         let s = scene.splats.into_arrays();
@@ -707,7 +716,7 @@ fn filters_equal_the_reference() {
     }
 }
 
-/// Along the normals of free vertices, also through mips and view dependence, whose changes neither side counts.
+/// Along the normals of free vertices, including mips and view dependence, but excluding the changes of these.
 #[test]
 fn vertex_gradients_equal_the_reference() {
     for subgroups in [true, false] {
@@ -756,10 +765,11 @@ fn transparent_and_opaque_meshes_are_limits() {
             gpu_frame(&gpu, &scene, &camera, None).0
         };
         let without = gpu_frame(&gpu, &HybridScene { meshes: vec![], ..scene.clone() }, &camera, None).0;
-        // The other modes interleave splats around a layer however transparent it is; see `contract::thresholds`.
+        // The other modes change the order of splats around a layer even if it is transparent; see
+        // `contract::thresholds`.
         if mode == OrderMode::Direct {
-            // Splats keep their order, but a bucket knows only at the end all that lies before it, so that the stop at a
-            // transmittance of 1e-4 may come some splats later: colours (up to 2 here) differ by no more than that allows.
+            // The order of splats is kept, but the transmittance in front of a bucket is known only at its end, so the
+            // stop at 1e-4 can come some splats later: colours (up to 2 here) differ by at most that.
             for (a, b) in with_opacity(-100.0).rgb.iter().flatten().zip(without.rgb.iter().flatten()) {
                 assert!((a - b).abs() < 2e-4, "{a} {b}");
             }
@@ -768,7 +778,7 @@ fn transparent_and_opaque_meshes_are_limits() {
         for (layers, (rest, free)) in
             reference::mesh_layers(&scene, &camera).iter().zip(opaque.transmittance.iter().zip(&without.transmittance))
         {
-            // An opaque layer leaves 1e-4 of what is behind it.
+            // An opaque layer leaves a transmittance of 1e-4.
             assert!(if layers.is_empty() { (rest - free).abs() < 1e-4 } else { *rest < 1.1e-4 });
         }
     }

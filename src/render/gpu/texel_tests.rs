@@ -1,4 +1,4 @@
-//! Gradients of texels against finite differences of the oracle of `mesh_tests`, and what Adam makes of them.
+//! Gradients of texels compared with finite differences of the oracle in `mesh_tests`, and Adam steps of texels.
 
 use std::collections::BTreeMap;
 
@@ -17,10 +17,11 @@ use crate::{
     scene::{Atlas, Mesh, Texture},
 };
 
-/// Floats of a class of one mesh that are compared where their gradient is strong, evenly spread over the map, and any others.
+/// Numbers of floats compared per class and mesh: ones with large gradients, evenly spread over the map, and arbitrary
+/// ones.
 const STRONG: usize = 45;
 const ANY: usize = 15;
-/// Of these with a gradient, in each class of each mesh.
+/// Minimum number of compared floats with a gradient, in each class of each mesh.
 const VISIBLE: usize = 40;
 
 /// Gradients of every class of texel, also with fewer bands than are stored, against central differences of the oracle.
@@ -43,12 +44,12 @@ fn texel_gradients_match_finite_differences() {
     let fragments = hits.iter().enumerate().flat_map(|(p, h)| h.iter().enumerate().map(move |(l, h)| (p, l, h)));
     let weighed = |(p, l, h): (usize, usize, _)| (DVec4::from_array(weights[l * view.pixels() + p].map(f64::from)), h);
     let fragments: Vec<(DVec4, &Hit)> = fragments.map(weighed).collect();
-    // Of one mesh: what the others show does not change with its maps.
+    // For one mesh: the fragments of others do not depend on its maps.
     let loss = |meshes: &[Mesh], mesh: usize, band_degree: u32| {
         let of_mesh = fragments.iter().filter(|(_, h)| h.mesh == mesh);
         of_mesh.map(|(weight, h)| weight.dot(shade(h, meshes, band_degree))).sum::<f64>()
     };
-    // By a float of the base map of a mesh or of its bands.
+    // Finite difference for a float of a mesh's base map or bands.
     let difference = |band_degree: u32, m: usize, class: usize, i: usize| {
         let atlas = meshes[m].atlas();
         let moved = |step: f32| {
@@ -65,14 +66,15 @@ fn texel_gradients_match_finite_differences() {
             loss(&meshes, m, band_degree)
         };
         let texel = if class == 0 { atlas.base() } else { atlas.bands().unwrap() };
-        // The step that f32 really takes.
+        // The difference after rounding to f32.
         let h = 1.0 / 1024.0;
         let taken = f64::from(texel.texels()[i] + h) - f64::from(texel.texels()[i] - h);
         (moved(h) - moved(-h)) / taken
     };
     let open = || Gpu::open(None).unwrap();
     for band_degree in [3, 2] {
-        // By mesh and class, which floats are asked for, and what differences say. By the first kernels' gradients; of the others the same.
+        // By mesh and class: the compared floats and their finite differences. They are chosen by the gradients of the
+        // first kernels, and used for all kernels.
         let mut wanted = BTreeMap::new();
         for gpu in [open(), open().posing_as_gpu(), Gpu::with_subgroups(false).posing_as_gpu()] {
             let view = View { band_degree, ..view };
@@ -110,7 +112,7 @@ fn texel_gradients_match_finite_differences() {
                 assert!(visible >= VISIBLE, "{case}: {visible} floats with a gradient");
             }
 
-            // Adam has what coarser levels hand down, too: a tenth of it is its first moment.
+            // Adam also gets gradients from coarser levels: its first moment is a tenth of the gradient.
             let step =
                 TexelStep { number: 1, base_rate: 0.0, band_rate: 0.0, visited_only: false, holds_opacity: false };
             rig.stage.set_step(&rig.gpu, &step);
@@ -128,8 +130,8 @@ fn texel_gradients_match_finite_differences() {
     }
 }
 
-/// A wall in a coarse map, or with all of it at one place of the map: pictures of 270,000 pixels that all pull one way pull as far as those of
-/// 1,200, by a mean over the pixels.
+/// A wall with a coarse map, or with equal UVs everywhere: in a picture of 270,000 pixels with gradients of equal sign,
+/// the mean over pixels makes the gradient as large as for 1,200 pixels.
 #[test]
 fn a_texel_as_large_as_the_picture_is_pulled_as_far_in_large_pictures() {
     let corners = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, 2.0));
@@ -162,8 +164,8 @@ fn a_texel_as_large_as_the_picture_is_pulled_as_far_in_large_pictures() {
     }
 }
 
-/// A face whose corners have one place in the map, before a third of the picture: its 100,000 pixels all pull at four texels, whose sums have
-/// room for them as for those of a wall that fills it.
+/// A face with equal UVs at its corners that covers a third of the picture: the gradients of its 100,000 pixels all go
+/// to four texels, whose sums must not overflow, as for a wall that fills the picture.
 #[test]
 fn a_face_at_one_place_of_the_map_pulls_with_all_of_its_pixels() {
     let corners = [[-0.7, -0.7], [0.7, -0.7], [0.7, 0.7], [-0.7, 0.7]].map(|[x, y]| Vec3::new(x, y, 2.0));
@@ -181,7 +183,7 @@ fn a_face_at_one_place_of_the_map_pulls_with_all_of_its_pixels() {
         let shown = rig.stage.read_front_triangles(&rig.gpu, view.pixels()).unwrap();
         let covered = shown.iter().filter(|triangle| **triangle != 0).count() as f64;
         assert!((80_000.0..150_000.0).contains(&covered), "{covered} pixels");
-        // Y₀ of a colour, σ' = ¼ of a logit of 0.
+        // Derivatives: Y₀ of a colour, and σ' = ¼ of a logit of 0.
         for (channel, of_pixel) in [(0, 0.282_095), (3, 0.25)] {
             let sum: f64 = base.iter().skip(channel).step_by(4).map(|g| f64::from(*g)).sum();
             assert!((sum / (of_pixel * covered) - 1.0).abs() < 2e-3, "channel {channel}: {sum} of {covered} pixels");
@@ -189,8 +191,8 @@ fn a_face_at_one_place_of_the_map_pulls_with_all_of_its_pixels() {
     }
 }
 
-/// A texel seen for the first time late in a run, of a map with mips or without: by the sparse rule it moves by the rate, by the dense one by
-/// more, because its moments are not as old as the steps counted.
+/// A texel seen for the first time late in a run, with and without mips: with sparse Adam it moves by the learning
+/// rate, with dense Adam by more, since its moments are younger than the step count.
 #[test]
 fn a_late_texel_moves_by_the_rate() {
     let mut random = Random(7);
@@ -220,8 +222,8 @@ fn a_late_texel_moves_by_the_rate() {
     }
 }
 
-/// One step of Adam from zero moments moves a float by its rate against the sign of its gradient; logits stay within
-/// ±6; mips follow; moments survive a round trip.
+/// One Adam step from zero moments moves a float by the learning rate against the sign of its gradient; logits stay
+/// within ±6; mips are updated; moments survive a round trip.
 #[test]
 fn adam_steps_and_moments_are_restored() {
     let mut random = Random(6);
@@ -263,7 +265,8 @@ fn adam_steps_and_moments_are_restored() {
     rig.forward(&view);
     rig.check(&view, &[meshes[0].clone().with_atlas(after.clone())], "after a step");
 
-    // Another camera: dense Adam moves what was visited before by its momentum, the visited-only variant does not.
+    // With another camera, dense Adam moves texels visited before by their momentum, and the visited-only variant does
+    // not.
     let (first, second) = rig.stage.read_moments(&rig.gpu).unwrap();
     assert!(first.iter().zip(&second).all(|(m, v)| (*m == 0.0) == (*v == 0.0)));
     let status = status_buffer(&rig.gpu).unwrap();
@@ -280,7 +283,7 @@ fn adam_steps_and_moments_are_restored() {
         assert_eq!(changed, !visited_only, "gradients are zero, moments are not");
     }
 
-    // While opacity is held, colours go on.
+    // While opacity is frozen, colours are still trained.
     let other = MeshStage::new(&rig.gpu, &[meshes[0].clone().with_atlas(after.clone())], 1, Some(&status)).unwrap();
     assert!(other.write_moments(&rig.gpu, &first, &second));
     other.set_step(&rig.gpu, &TexelStep { number: 2, holds_opacity: true, ..step });
@@ -296,7 +299,7 @@ fn adam_steps_and_moments_are_restored() {
     assert_ne!(after.bands(), held.bands());
 }
 
-/// In fixed point there is no NaN, but its unit is one.
+/// Fixed point has no NaN, but its scale can be one.
 #[test]
 fn what_is_not_finite_is_found_through_fixed_point() {
     let mut random = Random(8);

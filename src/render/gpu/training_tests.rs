@@ -1,4 +1,4 @@
-//! Steps that must not change anything, and what steps find out about themselves.
+//! Steps that must not change anything, and the status that steps report.
 
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 
@@ -32,7 +32,7 @@ fn camera(distance: f64) -> Camera {
     Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, distance)).unwrap()
 }
 
-/// `n` splats and `triangles` triangles that all cover the image.
+/// `n` splats and `triangles` triangles, each of which covers the whole image.
 fn scene(n: usize, triangles: usize) -> HybridScene {
     let splats = Splats::new(
         (0..n).map(|i| Vec3::new(0.0, 0.0, 0.1 * i as f32)).collect(),
@@ -68,7 +68,7 @@ fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
     training.step(&Step { dropout, vertices, exposure, pose, ..usual }).unwrap();
 }
 
-/// The first step of splats and texels towards the truth.
+/// A first step of splats and texels for a photograph.
 fn usual<'a>(training: &Training, camera: &'a Camera, truth: &'a [u8]) -> Step<'a> {
     let sh_degree = training.pipeline.front.splats.sh_degree;
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
@@ -102,7 +102,8 @@ fn usual<'a>(training: &Training, camera: &'a Camera, truth: &'a [u8]) -> Step<'
     }
 }
 
-/// Of the weight of disparity: in the first moments of the first step, a tenth of the gradient, beside what the photograph says.
+/// The gradient by disparity is scaled by its weight: checked in the first moments after the first step, which are a
+/// tenth of the gradient, beside the photometric gradient.
 #[test]
 fn a_step_learns_of_nearness_as_its_weight_says() {
     let weight = 3.0;
@@ -111,7 +112,7 @@ fn a_step_learns_of_nearness_as_its_weight_says() {
         scene.composition.background = [0.0; 3];
         let new = || Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
         let picture = new().render(&camera, [0.0; 3], Show::All).unwrap().rgb;
-        // Off by up to 8/255, so that pixels count for all between full and a fifth.
+        // The photograph differs by up to 8/255, so that pixels count with between full weight and a fifth.
         let off = |i: usize, v: f32| ((v * 255.0).round() as u8).saturating_add(2 * (i % 5) as u8);
         let truth: Vec<u8> =
             picture.iter().enumerate().flat_map(|(i, [r, g, b])| [off(i, *r), off(i, *g), off(i, *b), 255]).collect();
@@ -152,16 +153,16 @@ fn a_step_learns_of_nearness_as_its_weight_says() {
         let (error, largest) =
             (testing::largest(errors), testing::largest(expected.opacity_logits.iter().map(|g| g.abs())));
         eprintln!("{}: {error:.1e} of {largest:.1e}", gpu.adapter());
-        // Differences of two f32 sums, of which the photograph's part is the larger.
+        // Differences between two f32 sums, of which the photometric part is the larger.
         assert!(error < 1e-4 * largest, "{error:e} of {largest:e}");
     }
 }
 
-/// Values and moments of what each view has of its own.
+/// Values and moments of per-view parameters.
 type OfViews = (Vec<f32>, [Vec<f32>; 2]);
 type Learnt = (SplatState, Vec<f32>, Vec<Mesh>, (Vec<f32>, Vec<f32>), OfViews, Option<OfViews>, VertexState);
 
-/// Everything that a step changes, of a scene with these meshes.
+/// Everything that a step changes, for a scene with these meshes.
 fn learnt(training: &Training, meshes: &[Mesh]) -> Learnt {
     let read = (training.read_splats(), training.read_statistics(), training.read_meshes(meshes));
     let PoseState { values, moments, .. } = training.read_poses().unwrap().unwrap();
@@ -171,18 +172,18 @@ fn learnt(training: &Training, meshes: &[Mesh]) -> Learnt {
     (read.0.unwrap(), read.1.unwrap(), read.2.unwrap(), texels, poses, exposures, vertices)
 }
 
-/// Nothing is learnt from an image that lacks what did not fit its lists: four splats in 256 tiles each, where there is
-/// room for six pairs per splat and one per tile; 40 triangles in 1024 bins each, where there is room for 16 per bin.
+/// An image that lacks entries beyond its lists' capacity trains nothing: four splats in 256 tiles each, with a
+/// capacity of six pairs per splat and one per tile; 40 triangles in 1024 bins each, with a capacity of 16 per bin.
 #[test]
 fn a_step_with_lists_too_short_changes_nothing() {
     let open = || Gpu::open(None).unwrap();
     for (gpu, n, triangles) in [(open(), 4, 1), (open(), 1, 40), (open().posing_as_gpu(), 4, 1)] {
         let mut scene = scene(n, triangles);
-        // Vertices are pulled where colours change along the map.
+        // Vertices have gradients if colours vary along the map.
         let texels = (0..4 * 16 * 16).map(|i| 0.3 * (i as f32).sin()).collect();
         let atlas = Atlas::new(Texture::new(16, 16, 4, texels).unwrap(), None).unwrap();
         scene.meshes[0] = scene.meshes[0].clone().with_atlas(atlas);
-        // From far away everything is small.
+        // From far away everything is small and fits.
         let (near, far) = (camera(3.0), camera(1e5));
         let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
         training.refine_poses(&PoseState::new(1)).unwrap();
@@ -193,7 +194,8 @@ fn a_step_with_lists_too_short_changes_nothing() {
         step(&mut training, &near);
         assert!(learnt(&training, &scene.meshes) == before, "{n} splats, {triangles} triangles");
         assert_eq!(training.status().unwrap().skipped, 2);
-        // The host may look after a step that would fit, but is not to be taken before those that did not.
+        // The host may look only after a step that would fit, but such a step must not be taken before those that did
+        // not fit.
         step(&mut training, &far);
         assert!(learnt(&training, &scene.meshes) == before, "{n} splats, {triangles} triangles");
         assert_eq!(training.grow_if_short().unwrap(), 3);
@@ -208,7 +210,8 @@ fn a_step_with_lists_too_short_changes_nothing() {
     }
 }
 
-/// Depths of the splats alone lengthen lists as pictures do: a step after them is that of lists that were long from the beginning.
+/// Rendering depths of splats alone enlarges lists as a picture does: a step after it equals one with lists that were
+/// long from the beginning.
 #[test]
 fn a_step_after_depths_that_were_long_learns() {
     let (gpu, scene, near) = (Gpu::open(None).unwrap(), scene(4, 1), camera(3.0));
@@ -231,7 +234,8 @@ fn a_step_after_depths_that_were_long_learns() {
     assert_eq!((losses[0].l1, losses[0].ssim), (losses[1].l1, losses[1].ssim));
 }
 
-/// A disc that is seen aslant is where its plane is, not where its mean is; one before it that leaves more than half is not seen.
+/// A disc seen at an angle has the depth of its plane, not of its mean; a disc in front of it that transmits more than
+/// half is ignored.
 #[test]
 fn depths_are_those_of_the_first_that_hides_half() {
     let k = Intrinsics { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 19.3, cy: 15.2 };
@@ -247,17 +251,17 @@ fn depths_are_those_of_the_first_that_hides_half() {
     let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
     for gpu in [Gpu::open(None).unwrap(), Gpu::open(None).unwrap().posing_as_gpu()] {
         let depths = Training::new(&gpu, &scene, &[camera], 0.2).unwrap().median_depth(&camera).unwrap();
-        // Farther from its middle it does not hide half.
+        // Farther from its centre the disc hides less than half.
         for (i, depth) in depths.into_iter().enumerate().filter(|(i, _)| (12..28).contains(&(i % 40))) {
             let slope = ((i % 40) as f64 + 0.5 - k.cx) / k.fx;
-            // Where x + z = 4.
+            // Intersection with the plane x + z = 4.
             let expected = 4.0 / (1.0 + slope);
             assert!((f64::from(depth) / expected - 1.0).abs() < 1e-3, "pixel {i}: {depth}, not {expected}");
         }
     }
 }
 
-/// A checkpoint has those of the adapter that it was written on.
+/// A checkpoint stores the list lengths of the adapter that it was written on.
 #[test]
 fn lists_of_another_adapter_are_as_long_as_this_one_binds() {
     let gpu = Gpu::open(None).unwrap().binding_at_most(256 << 10);
@@ -271,12 +275,12 @@ fn lists_of_another_adapter_are_as_long_as_this_one_binds() {
     assert_eq!(training.grow_if_short().unwrap(), 0);
 }
 
-/// Pictures do not depend on the lists: what the last step left of them stays, and is not made anew.
+/// Pictures do not depend on list lengths: the last step's picture is kept, and not rendered again.
 #[test]
 fn longer_lists_leave_pictures_alone() {
     let (gpu, scene, near) = (Gpu::open(None).unwrap(), scene(4, 1), camera(3.0));
     let mut training = Training::new(&gpu, &scene, &[near], 0.2).unwrap();
-    // The first may find lists too short for it.
+    // The first step may find its lists too short.
     for _ in 0..2 {
         step(&mut training, &near);
         training.grow_if_short().unwrap();
@@ -323,7 +327,7 @@ fn relative(found: &[f32], expected: &[f32]) -> f64 {
     (difference / expected.iter().copied().map(square).sum::<f64>()).sqrt()
 }
 
-/// A step of this adapter, for pictures of these cameras.
+/// A training on this adapter after one step, with pictures of `cameras`.
 fn stepped<'g>(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], at: &Camera) -> Training<'g> {
     let mut training = Training::new(gpu, scene, cameras, 0.2).unwrap();
     training.refine_poses(&PoseState::new(1)).unwrap();
@@ -335,7 +339,7 @@ fn stepped<'g>(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], at: &Camer
     }
 }
 
-/// Rows of 7 workgroups, as those of 65,535 in long dispatches.
+/// Dispatches folded into rows of 7 workgroups, as long ones are into rows of 65,535.
 #[test]
 fn folded_steps_learn_the_same() {
     let (scene, camera) = testing::random_scene(31, 3000, 1, 2, 2, OrderMode::Stable);
@@ -344,7 +348,7 @@ fn folded_steps_learn_the_same() {
     assert!(found.iter().any(|m| *m != 0.0) && found == expected);
 }
 
-/// Two of three stay on the adapter.
+/// Two of three photographs stay on the adapter.
 #[test]
 fn photographs_that_stay_teach_what_those_teach_that_are_sent() {
     let (scene, camera) = testing::smooth_scene(1, 1, OrderMode::Stable);
@@ -364,7 +368,7 @@ fn photographs_that_stay_teach_what_those_teach_that_are_sent() {
     assert!(learnt(2 * bytes as u64) == learnt(0) && learnt(0) != super::splats::pack_geometry(&scene.splats));
 }
 
-/// Bit by bit, whatever the order in which workgroups run: maps, vertices, splats, poses.
+/// Bit-identical whatever the order in which workgroups run: maps, vertices, splats, poses.
 #[test]
 fn steps_are_the_same_in_every_run() {
     let (scene, camera) = testing::random_scene(34, 2000, 2, 2, 2, OrderMode::Stable);
@@ -390,7 +394,7 @@ fn steps_are_the_same_in_every_run() {
     }
 }
 
-/// A thousand splats that all tiles see, of which they use a few: more rows of sums than are bound at a time.
+/// A thousand splats that cover all tiles, which use a few of them: more rows of sums than are bound at a time.
 #[test]
 fn sums_of_pairs_in_parts_are_those_of_all() {
     let mut scene = scene(1000, 1);
@@ -417,7 +421,8 @@ fn sums_of_pairs_in_parts_are_those_of_all() {
     }
 }
 
-/// What a training of splats without the mesh shows, or of the mesh without splats, in every order and with any layers; pictures to the last bit.
+/// Rendering splats without the mesh, or the mesh without splats, equals rendering a scene that has nothing else, in
+/// every mode and with any number of layers; pictures are bit-identical.
 #[test]
 fn each_is_shown_alone_as_where_there_is_nothing_else() {
     let gpu = Gpu::open(None).unwrap();
@@ -426,7 +431,7 @@ fn each_is_shown_alone_as_where_there_is_nothing_else() {
         let values = vec![[0.5, 2.0, 0.0]; camera.intrinsics().pixels()];
         let of = |scene: &HybridScene, show| {
             let mut training = Training::new(&gpu, scene, &[camera], 0.2).unwrap();
-            // Layers of another picture are not left there.
+            // Layers of an earlier picture must not remain.
             training.render(&camera, [0.0; 3], Show::All).unwrap();
             let picture = training.render(&camera, [0.1, 0.2, 0.3], show).unwrap();
             (picture.rgb, training.gather(&camera, &values, show).unwrap())
@@ -443,7 +448,7 @@ fn each_is_shown_alone_as_where_there_is_nothing_else() {
     }
 }
 
-/// Also of splats that another view has seen.
+/// Splats that only another view has seen have sums of zero.
 #[test]
 fn a_view_gathers_nothing_of_what_it_does_not_see() {
     let (gpu, scene, near) = (Gpu::open(None).unwrap(), scene(3, 1), camera(3.0));
@@ -454,8 +459,8 @@ fn a_view_gathers_nothing_of_what_it_does_not_see() {
     assert_eq!(training.gather(&away, &values, Show::All).unwrap(), [[0.0; 4]; 3]);
 }
 
-/// The gradients that were there are overwritten by what is moved, and that by the gradients of the next step: also those of splats that
-/// the view does not see, which are zero.
+/// Rearranging uses the gradient buffers as scratch space, and the next step overwrites them with its gradients,
+/// including zeros for splats that the view does not see.
 #[test]
 fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
     let gpu = Gpu::open(None).unwrap();
@@ -469,7 +474,7 @@ fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
     for moments in [&mut all.geometry_m, &mut all.geometry_v, &mut all.sh_m, &mut all.sh_v] {
         moments.iter_mut().enumerate().for_each(|(i, m)| *m = 1e-3 * (1 + i) as f32);
     }
-    // One of those behind twice, once without moments; the others are not where they were.
+    // One of the splats behind the camera occurs twice, once without moments; the others are permuted.
     let mut sources: Vec<Source> = (0..60).rev().chain([2]).map(Source::new).collect();
     sources[60] = sources[60].without_moments();
     let rows = |i: usize| all.geometry[GEOMETRY_FLOATS * i..][..GEOMETRY_FLOATS].to_vec();
@@ -496,7 +501,7 @@ fn a_step_after_splats_were_rearranged_is_that_of_such_splats() {
     assert!(relative(&found.1, &expected.1) < 1e-5 && relative(&found.4.0, &expected.4.0) < 1e-5);
 }
 
-/// Wide and high pictures in one run, of which neither side fits the other.
+/// Landscape and portrait pictures in one run, neither of which fits into the other.
 #[test]
 fn pictures_of_other_shapes_are_learnt_from_alike() {
     let gpu = Gpu::open(None).unwrap();
@@ -538,10 +543,10 @@ fn what_is_not_finite_is_found_in_the_step() {
     assert_eq!(broken(|_, texels| texels[17] = f32::NAN), Some("a map of colour and opacity"));
 }
 
-/// A step that leaves splats out is one of the others alone, each that much more opaque.
+/// A step with dropout equals one with the remaining splats alone, each with its opacity scaled up.
 #[test]
 fn splats_that_a_step_leaves_out_are_neither_seen_nor_moved() {
-    // As `shared/random.wgsl`.
+    // As in `shared/random.wgsl`.
     let first_word = |of: [u32; 4]| {
         let mut v = of.map(|x| x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
         for round in 0..2 {
@@ -590,7 +595,7 @@ fn splats_that_a_step_leaves_out_are_neither_seen_nor_moved() {
     let largest = others.geometry_m.iter().fold(0.0_f32, |a, m| a.max(m.abs()));
     for (k, &i) in kept.iter().enumerate() {
         let (mut found, mut expected) = (row(&moved, i), row(&others, k));
-        // By the logarithm of the opacity, which the factor leaves alone.
+        // By the logarithm of the opacity, to which the factor does not matter.
         found[OPACITY] /= 1.0 - sigmoid(all.splats.opacity_logits()[i]);
         expected[OPACITY] /= 1.0 - sigmoid(fewer.splats.opacity_logits()[k]);
         for (a, b) in found.iter().zip(&expected) {

@@ -1,4 +1,4 @@
-//! Vertices find back to where the photographs were taken of them.
+//! Displaced vertices are moved back to the surface shown in photographs.
 
 use glam::{DVec3, Vec2, Vec3};
 
@@ -14,12 +14,12 @@ use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Sp
 const SIDE: u32 = 96;
 const CELLS: u32 = 12;
 
-/// Looks at the origin from `azimuth` at 0.7 rad above the plane z = 0.
+/// A camera that looks at the origin from `azimuth`, 0.7 rad above the plane z = 0.
 fn camera(azimuth: f64) -> Camera {
     camera_at(2.2, azimuth)
 }
 
-/// Of what is about 2.2 wide at the origin.
+/// A camera with a picture about 2.2 wide at the origin.
 fn camera_at(distance: f64, azimuth: f64) -> Camera {
     let size = f64::from(SIDE);
     let focal = size * distance / 2.2;
@@ -28,7 +28,7 @@ fn camera_at(distance: f64, azimuth: f64) -> Camera {
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Z).unwrap()
 }
 
-/// A square of side 2 at heights `z(x, y)` with an opaque pattern of waves some ten pixels long.
+/// A square of side 2 at heights `z(x, y)` with an opaque wave pattern of about ten pixels per wavelength.
 fn sheet(z: impl Fn(f32, f32) -> f32) -> HybridScene {
     let side = CELLS + 1;
     let uv = |i: u32| Vec2::new((i % side) as f32, (i / side) as f32) / CELLS as f32;
@@ -53,7 +53,7 @@ fn sheet(z: impl Fn(f32, f32) -> f32) -> HybridScene {
     HybridScene { splats: Splats::empty(0), meshes: vec![mesh], composition }
 }
 
-/// A step of nothing else.
+/// A step that moves only vertices.
 fn of_vertices<'a>(camera: &'a Camera, truth: &'a [u8], vertices: Option<VertexStep>) -> Step<'a> {
     Step {
         camera,
@@ -90,13 +90,13 @@ fn a_bent_sheet_flattens_to_its_photographs() {
             picture.rgb.iter().flat_map(|p| [byte(&p[0]), byte(&p[1]), byte(&p[2]), 255]).collect()
         })
         .collect();
-    // One and a half pixels.
+    // A displacement of one and a half pixels.
     let scene = sheet(|x, y| 0.035 * (2.0 * x).cos() * (1.5 * y + 0.5).cos());
     let mut training = Training::new(&gpu, &scene, &cameras, 0.2).unwrap();
     training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 2.2 / SIDE as f32)).unwrap();
     for t in 0..160_u32 {
         let view = t as usize % cameras.len();
-        // What they would have learnt while they rest does not move them later.
+        // Gradients from the time when vertices are fixed have no influence later.
         let number = t.checked_sub(10).map(|t| t + 1);
         if number == Some(1) {
             let mesh = training.pipeline.front.mesh.as_ref().unwrap();
@@ -107,15 +107,16 @@ fn a_bent_sheet_flattens_to_its_photographs() {
     }
     let (before, after) = (rms_height(&scene.meshes), rms_height(&training.read_meshes(&scene.meshes).unwrap()));
     eprintln!("rms height {before} became {after}");
-    // The rim is seen by few pixels and stays behind.
+    // Vertices at the boundary are seen by few pixels and move less.
     assert!(after < 0.3 * before, "rms height {before} became {after}");
     let state = training.read_vertex_state().unwrap();
     assert_eq!(state.moments.len(), 2 * scene.meshes[0].positions().len());
 }
 
-/// A wall that is brighter to one side, over all of a picture, is pulled one way by each of its pixels: its vertex in the middle by the sum of
-/// two million of them as by that of hundreds of thousands, both means over the pixels. One texel is far steeper: what pulls most of all is `FIXED_ONE`
-/// units, and each of the others some 1,400, which two million add up to more than 32 bits hold.
+/// A wall with a brightness gradient across the whole picture, so that all pixels give gradients of equal sign: two
+/// million pixels and hundreds of thousands give the same gradient to the central vertex, since both are means over
+/// pixels. One texel is far steeper: the largest gradient of a fragment is `FIXED_ONE` units, and that of other
+/// fragments is about 1,400 units, whose sum over two million fragments exceeds 32 bits.
 #[test]
 fn a_wall_is_pulled_as_far_in_large_pictures() {
     const STEEP: f32 = 15.0;
@@ -147,7 +148,8 @@ fn a_wall_is_pulled_as_far_in_large_pictures() {
     let largest = few.iter().fold(0.0_f32, |a, g| a.max(g.abs()));
     assert!(largest > 0.0 && few[0].abs() == largest, "{few:?}");
     for (few, many) in few.iter().zip(&many) {
-        // The two flanks of the steep texel cancel but for a column of pixels, 1/180 of it, which is 7 % of all; a word that wraps is 100 % and more.
+        // The two flanks of the steep texel cancel except for a column of pixels, 1/180 of it, which is 7 % of the
+        // total; an overflow would change 100 % or more.
         assert!((few - many).abs() < 0.1 * largest, "{few} {many}");
     }
 }

@@ -1,4 +1,5 @@
-//! Gradients of vertices under maps with mips, whose choice has no derivative, against differences that hold it.
+//! Gradients of vertices with mipmapped maps, compared with differences at constant mip levels, since the choice of
+//! levels has no derivative.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -11,10 +12,11 @@ use crate::{
 
 const STEP: f64 = 1e-6;
 
-/// Mip levels of base and bands, of every hit of every pixel.
+/// Mip levels of base and bands for every hit of every pixel.
 type Levels = Vec<Vec<[f64; 2]>>;
 
-/// The picture by these parameters with all hits sampled at these levels; and which triangles they are of, and between which texels.
+/// Renders with these parameters, sampling all hits at these levels; also returns the triangles hit and the texels
+/// between which each hit lies.
 fn at_levels(
     scene: &HybridScene,
     camera: &Camera,
@@ -63,7 +65,7 @@ fn vertex_gradients_are_differences_at_held_mip_levels() {
         let mut gradient = backward(&scene, &camera, &cotangent);
         let (mut pairs, mut all) = (vec![], 0);
         for (m, mesh) in scene.meshes.iter().enumerate() {
-            // One axis of each: all of them would take seconds.
+            // One axis per vertex: all of them would take seconds.
             for parameter in (0..mesh.positions().len()).map(|v| Parameter::Position(m, v, v % 3)) {
                 let [(ahead, places), (back, others)] = [STEP, -STEP].map(|step| {
                     let mut moved = parameters.clone();
@@ -71,7 +73,7 @@ fn vertex_gradients_are_differences_at_held_mip_levels() {
                     at_levels(&scene, &camera, &moved, held)
                 });
                 all += 1;
-                // Across an edge or the middle of a texel there is a step or a kink.
+                // Crossing an edge causes a step, and crossing the centre of a texel a kink.
                 if places == others {
                     let difference = (ahead.dot(&cotangent) - back.dot(&cotangent)) / (2.0 * STEP);
                     pairs.push((*gradient.at(parameter), difference));
@@ -86,7 +88,7 @@ fn vertex_gradients_are_differences_at_held_mip_levels() {
             worst / scale
         );
         assert!(2 * pairs.len() > all, "{} of {all} vertices cross no texel", pairs.len());
-        // As where there are no mips.
+        // The same accuracy as without mips.
         assert!(worst < 1e-5 * scale && scale > 1e-3, "{mode:?}: {worst:e} of {scale:e}");
     }
 }

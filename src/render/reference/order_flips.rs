@@ -89,7 +89,7 @@ mod tests {
     use crate::render::testing::grid_mesh;
     use crate::scene::{Atlas, Composition, Intrinsics, OrderMode, Splats, Texture};
 
-    /// A sphere of radius 1 and splats of a twentieth of that whose means lie a little before and behind its surface, as fur does.
+    /// A sphere of radius 1 and splats of size 1/20 with means slightly in front of and behind its surface, like fur.
     fn furry_sphere(mode: OrderMode) -> HybridScene {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         let unit = |u: f64, v: f64| {
@@ -115,7 +115,7 @@ mod tests {
         }
     }
 
-    /// Four radii away, `degrees` around.
+    /// A camera four radii away, at `degrees` around the sphere.
     fn camera(degrees: f64) -> Camera {
         let k = Intrinsics { width: 120, height: 120, fx: 200.0, fy: 200.0, cx: 60.0, cy: 60.0 };
         let turn = DMat3::from_quat(DQuat::from_rotation_y(degrees.to_radians()));

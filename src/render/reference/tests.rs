@@ -23,7 +23,7 @@ fn max_difference(a: &Image, b: &Image) -> f64 {
     largest(rgb.chain(a.transmittance.iter().zip(&b.transmittance)).map(|(a, b)| (a - b).abs()))
 }
 
-/// A random image, as the derivative of a loss.
+/// A random image as the derivative of a loss.
 fn random_cotangent(camera: &Camera, seed: u64) -> Image {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let (width, height) = (camera.intrinsics().width as usize, camera.intrinsics().height as usize);
@@ -33,12 +33,13 @@ fn random_cotangent(camera: &Camera, seed: u64) -> Image {
     Image { width, height, rgb, transmittance }
 }
 
-/// The scene with its mesh opacities all replaced by one logit.
+/// A derivative of zero.
 fn no_cotangent(camera: &Camera) -> Image {
     let none = random_cotangent(camera, 0);
     Image { rgb: vec![[0.0; 3]; none.rgb.len()], transmittance: vec![0.0; none.rgb.len()], ..none }
 }
 
+/// The scene with the opacity logits of all texels replaced by `logit`.
 fn with_mesh_logit(mut scene: HybridScene, logit: f32) -> HybridScene {
     let opaque = |mesh: Mesh| {
         let base = mesh.atlas().base();
@@ -52,7 +53,7 @@ fn with_mesh_logit(mut scene: HybridScene, logit: f32) -> HybridScene {
     scene
 }
 
-/// Values computed apart, in float64, to nine digits.
+/// Values computed separately, in float64, to nine digits.
 #[test]
 fn projection_has_the_golden_values() {
     let splats = Splats::new(
@@ -91,7 +92,7 @@ fn projection_has_the_golden_values() {
     close(contract::splat_alpha(splat.opacity, power).unwrap(), 0.611110220);
 }
 
-/// Values computed apart, in float64, to nine digits. Variances of filters are f32.
+/// Values computed separately, in float64, to nine digits. Variances of filters are f32.
 #[test]
 fn factors_of_the_pixel_filter_have_the_golden_values() {
     let symmetric = |xx: f64, xy: f64, yy: f64| DMat2::from_cols_array(&[xx, xy, xy, yy]);
@@ -104,7 +105,7 @@ fn factors_of_the_pixel_filter_have_the_golden_values() {
     }
 }
 
-/// Values computed apart, in float64, to nine digits.
+/// Values computed separately, in float64, to nine digits.
 #[test]
 fn spherical_harmonics_and_barycentrics_have_the_golden_values() {
     let basis = sh::basis(DVec3::new(1.0, 2.0, 3.0).normalize().to_array());
@@ -137,7 +138,8 @@ fn spherical_harmonics_and_barycentrics_have_the_golden_values() {
     }
 }
 
-/// Plain 3DGS, blended as in INRIA's `cuda_rasterizer/forward.cu`, written once more without layers, buckets or places.
+/// Plain 3DGS, blended as in INRIA's `cuda_rasterizer/forward.cu`, written once more without layers, buckets or order
+/// places.
 #[test]
 fn without_meshes_it_is_plain_splatting() {
     let (scene, camera) = random_scene(3, 3000, 0, 2, 4, OrderMode::Stable);
@@ -172,8 +174,8 @@ fn transparent_meshes_do_not_show_and_opaque_ones_hide() {
     for mode in MODES {
         let (scene, camera) = random_scene(5, 300, 2, 1, 2, mode);
         let plain = HybridScene { meshes: vec![], ..scene.clone() };
-        // σ(−100) is 0 to f64, so only the order of the splats could differ, and it does by design: compare with
-        // the mesh's order switched off by comparing in `direct`, where buckets follow the depth order.
+        // σ(−100) is 0 in f64, so only the order of the splats could differ, which it does by design in the other
+        // modes: `direct` is used here, where buckets follow the depth order.
         let transparent = HybridScene {
             composition: Composition { mode: OrderMode::Direct, ..scene.composition },
             ..with_mesh_logit(scene.clone(), -100.0)
@@ -187,7 +189,7 @@ fn transparent_meshes_do_not_show_and_opaque_ones_hide() {
             let list = view.contributions(pixel);
             let Some(first) = list.iter().position(|c| c.source == Source::Layer(0)) else { continue };
             let behind: f64 = list[first + 1..].iter().map(|c| c.transmittance * c.alpha).sum();
-            // All that is behind an opaque fragment shares 1 − 0.9999 of the light.
+            // All contributions behind an opaque fragment share a transmittance of 1 − 0.9999.
             assert!(behind <= 1.0001e-4);
             seen += 1;
         }
@@ -195,12 +197,12 @@ fn transparent_meshes_do_not_show_and_opaque_ones_hide() {
     }
 }
 
-/// Blends with one accumulator per bucket, in the splats' depth order: the same image.
+/// Blending with one accumulator per bucket, in the splats' depth order, gives the same image.
 #[test]
 fn one_pass_with_buckets_is_the_sorted_list() {
     let mut out_of_order = [0; 3];
     for (seed, mode) in (0..9).zip(MODES.into_iter().cycle()) {
-        // Translucent splats: the stop, which the two apply at different times, is not reached.
+        // Translucent splats, so that the stop, which the two apply at different times, is not reached.
         let (mut scene, camera) = random_scene(seed, 200, 3, 1, 4, mode);
         scene = with_mesh_logit(scene, 0.0);
         scene.composition.lambda = 0.5;
@@ -237,13 +239,13 @@ fn one_pass_with_buckets_is_the_sorted_list() {
             }
         }
     }
-    // What the buckets are for happens, and only where it can.
+    // Splats do get out of depth order, which is what buckets are for, and only in modes where they can.
     assert!(out_of_order[0] > 0 && out_of_order[1] > 0 && out_of_order[2] == 0, "{out_of_order:?}");
 }
 
 #[test]
 fn two_rays_disagree_in_direct_order_only() {
-    // The sheet shows as grey 0.5, the splat as red above 1. The numbers are those of the extension's text.
+    // The sheet is grey 0.5, and the splat is red above 1. The numbers are those of the extension's specification.
     let (hidden, shown) = (0.499950, 0.923665);
     for (mode, expected) in MODES.into_iter().zip([[hidden, hidden], [hidden, hidden], [hidden, shown]]) {
         let (scene, camera, pixels) = two_rays(mode);
@@ -268,7 +270,7 @@ fn pull_down_is_the_transpose_of_the_pyramid() {
     assert!((left - right).abs() < 1e-12);
 }
 
-/// Two triangles that share an edge, wound alike or not: a ray exactly through the edge meets one of them.
+/// Two triangles that share an edge, with equal or opposite winding: a ray exactly through the edge hits one of them.
 #[test]
 fn shared_edges_are_hit_once() {
     let [a, b, c, d] = [[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]].map(|[x, y]| DVec3::new(x, y, 2.0));
@@ -278,7 +280,7 @@ fn shared_edges_are_hit_once() {
     }
 }
 
-/// The layers are the nearest of all triangles, each tried.
+/// The layers are the nearest of all triangles by brute force.
 #[test]
 fn no_layer_is_missed() {
     let mut filled = 0;
@@ -303,8 +305,8 @@ fn no_layer_is_missed() {
 fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters) {
     let cotangent = random_cotangent(camera, 17);
     let margins = margins(scene, camera, parameters);
-    // Alphas far from the cut, the order and the stop, relative, against steps of 1e-4 in every parameter; edges are crossed by
-    // moving vertices alone, which is tested apart.
+    // Relative distances of alphas from the cut-off, the order and the stop, for steps of 1e-4 in every parameter;
+    // edges are crossed only by moving vertices, which is tested separately.
     let away = Margin { alpha: 1e-3, order: 1e-4, edge: 0.0, stop: 1e-2 };
     assert!(!margins.iter().any(|m| m.is_within(&away)), "the scene is not away from all thresholds");
 
@@ -318,7 +320,7 @@ fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters
         ("opacity", splats.map(Parameter::OpacityLogit).collect()),
         ("sh", (0..16 * n).step_by(3).flat_map(|i| (0..3).map(move |k| Parameter::Sh(i, k))).collect()),
     ];
-    // Texels with a gradient, spread over the texture; all of them would take minutes.
+    // Texels with a gradient, spread over the texture; testing all of them would take minutes.
     let spread = |values: &[f64], parameter: &dyn Fn(usize) -> Parameter| -> Vec<Parameter> {
         let live: Vec<usize> = (0..values.len()).filter(|&i| values[i] != 0.0).collect();
         live.iter().step_by((live.len() / 40).max(1)).map(|&i| parameter(i)).collect()
@@ -335,7 +337,8 @@ fn check_gradients(scene: &HybridScene, camera: &Camera, parameters: &Parameters
     }
 }
 
-/// A gradient and the central difference of 1e-4, which in f64 is good to about 1e-8 of the curvature, of every parameter of a class.
+/// Compares gradients with central differences of step 1e-4, which in f64 have an error of about 1e-8 of the curvature,
+/// for every parameter of a class.
 fn check_pairs(class: &str, pairs: &[(f64, f64)]) {
     let scale = largest(pairs.iter().map(|(_, b)| b.abs()));
     let worst = largest(pairs.iter().map(|(a, b)| (a - b).abs())) / scale;
@@ -354,7 +357,7 @@ fn gradients_are_finite_differences() {
     }
 }
 
-/// Pixels of which the cap has the alpha say nothing of shape and opacity, and others all the same.
+/// Where alpha is capped, shape and opacity have zero gradient, but other parameters do not.
 #[test]
 fn gradients_under_the_cap_are_finite_differences() {
     let (mut scene, camera) = smooth_scene(11, 2, OrderMode::Stable);
@@ -367,7 +370,7 @@ fn gradients_under_the_cap_are_finite_differences() {
     check_gradients(&scene, &camera, &Parameters::of(&scene));
 }
 
-/// Of the disparity, by what does not move a splat in depth.
+/// Derivatives by disparity, for parameters that do not change the depth of a splat.
 #[test]
 fn gradients_of_disparity_are_finite_differences() {
     let step = 1e-4;
@@ -401,7 +404,7 @@ fn gradients_of_disparity_are_finite_differences() {
     }
 }
 
-/// With filters about as wide as the splats, so that what they do to opacities weighs as much as the rest.
+/// With filters about as wide as the splats, so that their effect on opacities is as large as other effects.
 #[test]
 fn gradients_through_filters_are_finite_differences() {
     for (variance, deviation) in [(20.0, 0.0), (0.1, 0.2), (20.0, 0.2)] {
@@ -415,7 +418,8 @@ fn gradients_through_filters_are_finite_differences() {
     }
 }
 
-/// Filters spread what a splat adds to a picture and keep its sum; smoothing is in space what the pixel filter is in the picture.
+/// Normalised filters spread a splat's contribution and preserve its sum; smoothing in space is equivalent to the pixel
+/// filter in the image.
 #[test]
 fn normalized_filters_keep_the_sum() {
     let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
@@ -437,8 +441,8 @@ fn normalized_filters_keep_the_sum() {
     assert!((opacity * scale.element_product() - parameters.log_scales[0].exp().element_product()).abs() < 1e-15);
 }
 
-/// Sides that are odd make textures of one mip level, whose choice has no derivative. A step of 1e-6 moves no edge across
-/// a pixel and no pixel across a texel.
+/// Textures with odd sides have a single mip level, so the choice of level plays no role. A step of 1e-6 moves no edge
+/// across a pixel and no pixel across a texel.
 #[test]
 fn vertex_gradients_are_finite_differences() {
     for (mode, layers) in MODES.into_iter().zip([1, 2, 4]) {
@@ -468,12 +472,12 @@ fn vertex_gradients_are_finite_differences() {
         let scale = largest(pairs.iter().map(|(_, b)| b.abs()));
         let worst = largest(pairs.iter().map(|(a, b)| (a - b).abs()));
         eprintln!("vertices: relative error {:.1e}", worst / scale);
-        // Central differences of 1e-6 in f64 hold some eight digits of the image.
+        // Central differences of 1e-6 in f64 keep about eight digits of the image.
         assert!(worst < 1e-5 * scale && scale > 1e-3, "{worst:e} of {scale:e}");
     }
 }
 
-/// The principal point moves all splats at once; what is not left of the background is some splat's weight.
+/// Moving the principal point moves all splats; the weights of all splats add up to one minus the transmittance.
 #[test]
 fn screen_statistics_are_those_of_the_image() {
     let (mut scene, camera) = smooth_scene(11, 1, OrderMode::Stable);
@@ -494,7 +498,7 @@ fn screen_statistics_are_those_of_the_image() {
     assert!((weight - covered).abs() < 1e-9 * covered);
 }
 
-/// A splat beyond the limits of the Jacobian, where it is linearised at the clamped position.
+/// A splat beyond the limits of the Jacobian, where projection is linearised at the clamped position.
 #[test]
 fn gradients_beyond_the_jacobian_limits() {
     let (mut scene, camera) = smooth_scene(11, 2, OrderMode::Stable);
@@ -523,7 +527,8 @@ fn threshold_pixels_are_few() {
     }
 }
 
-/// An isotropic Gaussian is seen at its distance from the ray, and nearer the farther the ray passes from it.
+/// The response of an isotropic Gaussian depends on its distance from the ray, and its peak gets nearer as the ray
+/// passes farther from it.
 #[test]
 fn peaks_of_an_isotropic_splat_are_known() {
     let (z, sigma) = (3.0, 0.4);
@@ -536,7 +541,7 @@ fn peaks_of_an_isotropic_splat_are_known() {
     }
 }
 
-/// Where a splat is small as seen from the camera its linearised projection is exact but for the low-pass.
+/// For splats that are small as seen from the camera, linearised projection is exact except for the low-pass filter.
 #[test]
 fn the_two_models_agree_on_small_splats() {
     let k = Intrinsics { width: 64, height: 64, fx: 4e4, fy: 4e4, cx: 32.0, cy: 32.0 };
@@ -554,7 +559,7 @@ fn the_two_models_agree_on_small_splats() {
     let ray = render_layers(&scene, &camera, ImageModel::Ray(ShDirection::Mean));
     let difference = |a: &[f64; 4], b: &[f64; 4]| (a[3] - b[3]).abs();
     let most = largest(ewa.splats.iter().zip(&ray.splats).map(|(a, b)| difference(a, b)));
-    // The low-pass adds 0.3 px² to variances of 30 and more; the cut at 1/255 is elsewhere.
+    // The low-pass filter adds 0.3 px² to variances of 30 and more, and moves the cut-off at 1/255.
     assert!(ewa.splats[32 * 64 + 32][3] > 0.5 && most > 1e-4 && most < 6e-3, "{most}");
 }
 
@@ -574,7 +579,7 @@ fn parts_sum_to_the_picture() {
             let weights = layers.splats[i][3] + layers.mesh[i][3];
             assert!((1.0 - weights - layers.transmittance[i]).abs() < 1e-12);
         }
-        // By rays there is one order, whatever the mode.
+        // With rays the order is the same in all modes.
         let by_ray = render_layers(&scene, &camera, ImageModel::Ray(ShDirection::Ray));
         let mut other = scene.clone();
         other.composition.mode = MODES[(MODES.iter().position(|m| *m == mode).unwrap() + 1) % 3];

@@ -36,7 +36,7 @@ fn names(pose: &Pose) -> Vec<String> {
 
 const CORNERS: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::new(0.25, 0.5, 0.0)];
 
-/// A triangle and a splat on it, both of one bone and one morph target.
+/// A triangle with a splat on it; both have one bone and one morph target.
 fn bound(harmonics: ShFrame) -> (HybridScene, Rig) {
     let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
     let (translation, rotation, scale) =
@@ -71,7 +71,7 @@ fn near(a: impl Into<DVec3>, b: impl Into<DVec3>, tolerance: f64) {
     assert!(a.abs_diff_eq(b, tolerance), "{a}, expected {b}");
 }
 
-/// Difference of two scenes' splats, as what they are: means, covariances and colours.
+/// Asserts that splats are equal by means, covariances and colours.
 #[track_caller]
 fn same_splats(a: &Splats, b: &Splats, tolerance: f32) {
     for i in 0..a.len() {
@@ -86,7 +86,7 @@ fn same_splats(a: &Splats, b: &Splats, tolerance: f32) {
 
 #[test]
 fn a_triangles_frame_is_that_of_the_extension() {
-    // The check that its text gives.
+    // The example in the extension's specification.
     let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
     assert_eq!(frame.axes, DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
     assert_eq!(frame.size, 0.75);
@@ -103,13 +103,13 @@ fn skins_blend_linearly_after_morph_targets() {
             MorphTarget { weight: 1, deltas: vec![Vec3::Z, Vec3::Z] },
             MorphTarget { weight: 0, deltas: vec![Vec3::X, Vec3::ZERO] },
         ],
-        // Weights need not add up to 1; one of 0 names no bone.
+        // Weights need not add up to 1; the bone of a zero weight is ignored.
         skinning: Skinning::Skin { width: 2, bones: vec![0, 1, 1, 0], weights: vec![0.5, 1.5, 0.25, 0.0] },
     };
     let turn = similarity_of(2.0, DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2), DVec3::new(0.0, 0.0, 1.0));
     let pose = Pose { bones: vec![DMat4::from_translation(DVec3::new(0.0, 4.0, 0.0)), turn], weights: vec![3.0, 0.5] };
-    // Vertex 0 is (1 + 3, 0, 0.5); bone 0 takes it to (4, 4, 0.5), bone 1 to (0, 8, 2): a quarter and three quarters.
-    // Vertex 1 is (0, 2, 0.5), taken to (−4, 0, 2).
+    // Vertex 0 is (1 + 3, 0, 0.5); bone 0 moves it to (4, 4, 0.5), and bone 1 to (0, 8, 2): weighted by a quarter and
+    // three quarters. Vertex 1 is (0, 2, 0.5), moved to (−4, 0, 2).
     let found = rest_surface.positions(&pose);
     near(found[0].as_dvec3(), DVec3::new(1.0, 7.0, 1.625), 1e-6);
     near(found[1].as_dvec3(), DVec3::new(-4.0, 0.0, 2.0), 1e-6);
@@ -121,7 +121,7 @@ fn skins_blend_linearly_after_morph_targets() {
 fn what_rests_keeps_its_bits() {
     let (rest, rig) = bound(ShFrame::Triangles(vec![DQuat::IDENTITY]));
     assert_eq!(rig.pose(&rest, rig.rest(), DMat4::IDENTITY).unwrap(), rest);
-    // And where the scene as a whole has been moved.
+    // Also if the scene as a whole has been transformed.
     let moved = similarity_of(1.7, DQuat::from_rotation_x(0.3), DVec3::ONE);
     assert_eq!(rig.pose(&rest, rig.rest(), moved).unwrap(), rest);
 }
@@ -134,7 +134,7 @@ fn bound_splats_move_as_their_triangle_does() {
     let transform = similarity_of(1.9, DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.4, -0.8), DVec3::new(3., -1., 2.));
     let pose = Pose { bones: vec![transform, DMat4::IDENTITY], weights: vec![0.0] };
     let posed = rig.pose(&rest, &pose, DMat4::IDENTITY).unwrap();
-    // All of it, as if somebody had moved the scene.
+    // All of it, as if the scene had been transformed.
     let mut expected = rest.splats.clone().into_arrays();
     assert!(place(&mut expected, 0..1, transform));
     same_splats(&posed.splats, &expected.check().unwrap(), 3e-6);
@@ -147,7 +147,7 @@ fn bound_splats_move_as_their_triangle_does() {
     near(posed.splats.means()[0].as_dvec3(), DVec3::new(0.125 + 1.25 / 3.0, 0.25 + 0.5, 0.375), 1e-6);
     let scales = Vec3::new(1.0, 2.0, 0.5) * 0.2 * 1.25;
     near(posed.splats.log_scales()[0].as_dvec3(), scales.map(f32::ln).as_dvec3(), 1e-6);
-    // It has not turned, so that orientation and colours stay.
+    // The frame has not rotated, so orientation and colours stay.
     assert!(posed.splats.rotations()[0].dot(rest.splats.rotations()[0]).abs() > 1.0 - 1e-6);
     for (a, b) in posed.splats.sh().iter().flatten().zip(rest.splats.sh().iter().flatten()) {
         assert!((a - b).abs() < 1e-6);
@@ -156,12 +156,12 @@ fn bound_splats_move_as_their_triangle_does() {
 
 #[test]
 fn harmonics_turn_with_what_they_are_said_to() {
-    // With a bone that keeps still colours do, whatever the triangle does.
+    // With harmonics in the frame of a fixed bone, colours stay, however the triangle moves.
     let (rest, rig) = bound(ShFrame::Bone(1));
     let turn = DMat4::from_quat(DQuat::from_rotation_y(1.0));
     let posed = rig.pose(&rest, &Pose { bones: vec![turn, DMat4::IDENTITY], weights: vec![0.0] }, DMat4::IDENTITY);
     assert_eq!(posed.unwrap().splats.sh(), rest.splats.sh());
-    // With one that turns they do, though the triangle keeps still.
+    // With a rotating bone colours rotate, even if the triangle does not move.
     let posed = rig.pose(&rest, &Pose { bones: vec![DMat4::IDENTITY, turn], weights: vec![0.0] }, DMat4::IDENTITY);
     let posed = posed.unwrap().splats;
     let mut expected = rest.splats.sh().to_vec();
@@ -215,7 +215,7 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     for (a, b) in texels(posed.meshes[0].atlas()).iter().zip(texels(&expected)) {
         assert!((a - b).abs() < 1e-6);
     }
-    // Stretched they are ellipsoids still, as are maps what they were; scaled to nothing they are not there.
+    // Stretched splats are still ellipsoids, and maps stay as they are; scaled to zero, they vanish.
     let nothing = Pose { bones: vec![DMat4::from_scale(DVec3::splat(0.0))], weights: vec![] };
     let stretch = DMat4::from_scale(DVec3::new(1.0, 1.0, 2.0));
     let stretched = Pose { bones: vec![stretch * rest_bone], weights: vec![] };
@@ -228,11 +228,11 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     }
     let hidden = Rig::new(vec![None], rig.attached().to_vec(), rig.rest().clone(), names(rig.rest())).unwrap();
     assert_eq!(hidden.pose(&scene, &nothing, DMat4::IDENTITY).unwrap().splats.opacity_logits(), [HIDDEN]);
-    // As are meshes on it.
+    // Meshes vanish too.
     let only_mesh = Rig::new(rig.surfaces().to_vec(), vec![], rig.rest().clone(), names(rig.rest())).unwrap();
     let gone = only_mesh.pose(&scene, &nothing, DMat4::IDENTITY).unwrap();
     assert!(gone.meshes[0].positions().iter().all(|p| *p == Vec3::ZERO) && gone.splats == scene.splats);
-    // What is scaled to a plane is no longer what a splat can be, nor has it a view.
+    // Scaled to a plane, a splat is not representable, and its harmonics have no rotation.
     let plane = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))], weights: vec![] };
     let error = hidden.pose(&scene, &plane, DMat4::IDENTITY).unwrap_err().to_string();
     let expected = "bone joint 0: expected a transform with an inverse, where it rests and now, found one without";
@@ -240,7 +240,8 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     assert!(only_mesh.pose(&scene, &plane, DMat4::IDENTITY).is_err());
 }
 
-/// View dependence is that of the transform alone, however the bone rests: what turns below a node that stretches, and what is mirrored.
+/// View dependence follows the transform alone, whatever the rest pose of the bone: rotated below a node that
+/// stretches, and mirrored.
 #[test]
 fn what_is_seen_turns_by_the_orthogonal_part_of_a_bone() {
     let seen = |bone: DMat4| {

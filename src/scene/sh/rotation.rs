@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use crate::scene::sh;
 
-    /// Rotations about all kinds of axes, the axis-aligned ones, and the same mirrored.
+    /// Rotations about random and coordinate axes, with and without reflection.
     fn orthogonal_matrices() -> Vec<DMat3> {
         let mut rng = Pcg64Mcg::seed_from_u64(3);
         let mut random = || DQuat::from_array([0; 4].map(|_| rng.random_range(-1.0..1.0))).normalize();
@@ -154,7 +154,7 @@ mod tests {
                 for m in 0..2 * l + 1 {
                     for n in 0..2 * l + 1 {
                         let difference = rotation.bands[l - 1][m][n] - truth[l * l + m][l * l + n];
-                        // Rounding of f64 over 32 nodes and two steps of the recursion.
+                        // f64 rounding over 32 nodes and two steps of the recursion.
                         assert!(difference.abs() < 1e-13, "{orthogonal}: {difference}");
                     }
                 }

@@ -1,4 +1,5 @@
-"""A torus with normals, UVs, a turning node and a morph target: the input of gltfpack and glTF-Transform for tests/data/meshopt."""
+"""A torus with normals, UVs, a rotating node and a morph target: the input of gltfpack and glTF-Transform for
+tests/data/meshopt."""
 import json, math, struct, base64
 R, r, n, m = 1.0, 0.25, 24, 12
 pos, nor, uv, idx, delta = [], [], [], [], []

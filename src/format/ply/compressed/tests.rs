@@ -29,12 +29,12 @@ fn round_trip_stays_within_the_stated_errors() {
         assert_same_loss(&report.loss, &Loss::of_splats(&as_written(&splats), &back));
         let e = report.loss.max_error;
         assert_eq!(report.loss.sh_degree, None);
-        // Chunks are smaller than the scene, whose extent is 6 and of whose log-scales it is 10; y has 10 bits.
+        // Chunks are smaller than the scene, whose positions span 6 and log-scales 10; y has only 10 bits.
         assert!(e.mean < 6.0 / 2046.0 && e.mean > 1e-4, "{e:?}");
         assert!(e.log_scale <= 10.0 / 2046.0 + 1e-5 && e.log_scale > 0.003, "{e:?}");
         assert!(e.rotation < 0.28 && e.rotation > 0.1, "{e:?}");
         assert!(e.opacity <= 1.0 / 510.0 + 1e-6, "{e:?}");
-        // Coefficients of ±2 are colours from −0.064 to 1.064.
+        // Coefficients of ±2 correspond to colours from −0.064 to 1.064.
         assert!(e.color <= 1.13 / 510.0, "{e:?}");
         assert!(e.sh <= 1.0 / 64.0 + 1e-6 && (degree == 0 || e.sh > 0.015), "{e:?}");
     }

@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn blocks_and_integers_of_the_format() {
-        // Literals `ab`, a match of 6 at distance 2, literals `c`.
+        // Literals `ab`, a match of length 6 at distance 2, and the literal `c`.
         let block = [0, 0x22, b'a', b'b', 2, 0, 0x10, b'c'];
         assert_eq!(decompress(&block, 100).unwrap(), b"ababababc");
         assert!(decompress(&block, 8).is_none() && decompress(&block[..6], 100).is_none());

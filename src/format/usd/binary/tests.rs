@@ -1,4 +1,4 @@
-//! tests/data/usd: a layer in text and, made of it by `Sdf.Layer.Export` of usd-core 26.3, in binary.
+//! Tests on tests/data/usd: a layer in text, and its binary version written by `Sdf.Layer.Export` of usd-core 26.3.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ fn binary() -> Layer {
     parse(BINARY).map_err(|fault| fault.in_file(Path::new("f"))).unwrap()
 }
 
-/// Half floats that text writes in decimals are rounded where they are stored.
+/// The text has decimals of half floats, which are rounded when stored.
 fn stored(type_name: &str, value: &Value) -> Value {
     match value {
         Value::Floats(all) if type_name.contains("half") || type_name.trim_end_matches("[]").ends_with('h') => {
@@ -84,14 +84,14 @@ fn what_is_no_layer_is_refused() {
     assert_eq!(refusal(&astray), message);
 }
 
-/// Of entries that name one place twice the later would be its own ancestor's parent, and a way up go on for ever.
+/// If two entries named one path, the later would be the parent of its own ancestor, and walking up would never end.
 #[test]
 fn paths_that_are_no_tree_are_refused() {
     let of = |places: &[i32], jumps: &[i32]| nodes(4, &[places.to_vec(), vec![1; places.len()], jumps.to_vec()]);
     let parents = |nodes: Vec<PathNode>| nodes.iter().map(|n| (n.parent, n.depth)).collect::<Vec<_>>();
     assert_eq!(parents(of(&[0, 1, 2, 3], &[-1, 2, -2, -2]).unwrap()), [(0, 0), (0, 1), (1, 2), (0, 1)]);
     assert_eq!(parents(of(&[], &[]).unwrap()), [(0, 0); 4]);
-    // One place twice; one entry twice; beyond the entries; beyond the paths.
+    // One path twice; one entry twice; beyond the entries; beyond the paths.
     for (places, jumps) in [
         ([0, 1, 2, 1], [-1, -1, -1, -2]),
         ([0, 1, 2, 3], [-1, 1, -2, -2]),
@@ -102,7 +102,7 @@ fn paths_that_are_no_tree_are_refused() {
     }
 }
 
-/// Compressed, a million of equal entries take little; what is made of them does not.
+/// A million equal entries compress to little, but take much memory when decompressed.
 #[test]
 fn tables_that_a_file_of_this_size_does_not_justify_are_refused() {
     let counts = [60_000_u64, 60_000].map(u64::to_le_bytes).concat();
@@ -127,14 +127,14 @@ fn tables_that_a_file_of_this_size_does_not_justify_are_refused() {
 #[test]
 fn many_names_of_one_long_text_are_refused() {
     const COUNT: u64 = 1000;
-    // An animated attribute at 0: where its times are said to be; then how many values, and that each is token 0.
+    // An animated attribute at 0: the offset of its times, then the number of values, all of which are token 0.
     let inlined = |kind: u64| kind << 48 | 1 << 62;
     let times_at = 8 * (4 + COUNT);
     let mut words = vec![8, 48 << 48 | times_at, 8, COUNT];
     words.extend((0..COUNT).map(|_| inlined(11)));
     words.push(COUNT);
     words.extend((0..COUNT).map(|i| (i as f64).to_bits()));
-    // And a list of as many.
+    // A list of the same number of tokens.
     let list_at = 8 * words.len() as u64;
     words.push(COUNT);
     words.extend((0..COUNT / 2).map(|_| 0));

@@ -309,7 +309,7 @@ mod tests {
         SCHEMAS.values().for_each(|schema| keywords_and_references(schema, &mut keywords, &mut references));
         let unknown: Vec<_> = keywords
             .iter()
-            // The one pattern is that of the digest, which `binding` checks by computing it.
+            // The only pattern is that of the digest, which `binding` checks by computing it.
             .filter(|k| !KNOWN.contains(&k.as_str()))
             .filter(|k| !["title", "description", "default", "pattern"].contains(&k.as_str()))
             .collect();
@@ -322,7 +322,7 @@ mod tests {
         }
     }
 
-    /// JSON with the keys that schemas know, so that rules are hit often.
+    /// JSON with keys that occur in the schemas, so that many rules apply.
     fn documents() -> impl Strategy<Value = Value> {
         let keys = prop::sample::select(vec![
             "colorSpace",
@@ -383,7 +383,7 @@ mod tests {
 
     fn oracles() -> Vec<(String, jsonschema::Validator)> {
         let base = "json-schema:///";
-        // References are relative to the base; `$id`s that are relative too would be put below each other.
+        // References are relative to the base; relative `$id`s would be nested.
         let absolute = |name: &str, schema: &Value| {
             let mut schema = schema.clone();
             schema["$id"] = json!(format!("{base}{name}"));

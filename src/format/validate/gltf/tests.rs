@@ -92,7 +92,7 @@ impl File {
         check_bytes(&self.glb())
     }
 
-    /// The rules that are broken.
+    /// Codes of the broken rules.
     fn codes(&self) -> Vec<&'static str> {
         self.findings().iter().map(|finding| finding.code).collect()
     }
@@ -120,11 +120,11 @@ fn check_bytes(bytes: &[u8]) -> Vec<Finding> {
 }
 
 const KHR: &str = "KHR_gaussian_splatting";
-/// Position of the mesh and of the splats in `meshes`.
+/// Indices of the mesh and of the splats in `meshes`.
 const SURFACE: usize = 0;
 const SPLATS: usize = 1;
 
-/// A scene with a mesh, splats and a camera as Centaur writes it, and whatever else the rules speak of.
+/// A scene with a mesh, splats and a camera as written by Centaur, with everything else that the rules cover.
 fn everything() -> File {
     let mut file = File::of(&random_scene(6, 1, 1, 4));
     let identity = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1.];
@@ -132,7 +132,7 @@ fn everything() -> File {
     let triangles = file.json["meshes"][SURFACE]["primitives"][0]["indices"].as_u64().unwrap() as usize;
     let triangles = file.json["accessors"][triangles]["count"].as_u64().unwrap() / 3;
 
-    // A skin, an animation and a sparse accessor of the core.
+    // A skin, an animation and a sparse accessor of core glTF.
     let matrices = file.floats("MAT4", &identity);
     file.push("skins", json!({ "joints": [0], "inverseBindMatrices": matrices }));
     let times = file.floats("SCALAR", &[0.0, 0.5, 2.0]);
@@ -157,7 +157,7 @@ fn everything() -> File {
     file.json["accessors"][sparse]["sparse"] = parts;
     file.json["accessors"][sparse]["max"] = json!([8.0]);
 
-    // Moving vertices, bound splats and a field of deformation.
+    // Animated vertices, bound splats and a deformation field.
     let key_times = file.floats("SCALAR", &[0.0, 1.0]);
     let moved = file.floats("VEC3", &vec![0.1; 2 * 3 * vertices]);
     let surface = &mut file.json["meshes"][SURFACE]["primitives"][0]["extensions"][HYBRID];
@@ -212,26 +212,26 @@ fn what_we_write_is_faultless() {
     assert!(findings.is_empty(), "{findings:?}");
 }
 
-/// What is broken, the code that must be found, and the end of the place where.
+/// A planted fault: its code, the end of the place where it is found, and the change.
 type Planted = (&'static str, &'static str, fn(&mut File));
 
 fn primitive(file: &mut File, mesh: usize) -> &mut Value {
     &mut file.json["meshes"][mesh]["primitives"][0]
 }
 
-/// The node of the surface.
+/// The node that holds the surface.
 fn surface_node(file: &mut File) -> &mut Value {
     let nodes = file.json["nodes"].as_array_mut().unwrap();
     nodes.iter_mut().find(|node| node["mesh"] == json!(SURFACE)).unwrap()
 }
 
-/// Gives the surface copies.
+/// Adds instances of the surface.
 fn copied(file: &mut File, attributes: &Value) {
     declare(file, "EXT_mesh_gpu_instancing");
     surface_node(file)["extensions"] = json!({ "EXT_mesh_gpu_instancing": { "attributes": attributes } });
 }
 
-/// Binds the surface to the skin, all of its vertices to one joint.
+/// Binds all vertices of the surface to one joint of the skin.
 fn skinned(file: &mut File, joint: f64, weight: f64) {
     let position = primitive(file, SURFACE)["attributes"]["POSITION"].as_u64().unwrap() as usize;
     let count = file.json["accessors"][position]["count"].as_u64().unwrap() as usize;

@@ -1,9 +1,10 @@
-//! Options that no other test of the optimiser sets.
+//! Training options that no other test sets.
 
 use super::*;
 use crate::render::gpu::Renderer;
 
-/// Before any colour but its own, what is black and opaque has to hide the background, and what is transparent must not.
+/// Rendered in front of another background than its own, black opaque content has to hide the background, and
+/// transparent content must not.
 #[test]
 fn a_background_tells_opaque_from_transparent() {
     let gpu = Gpu::open(None).unwrap();
@@ -26,7 +27,8 @@ fn a_background_tells_opaque_from_transparent() {
     }
 }
 
-/// Adam of only what a view shows, and of every texel at every step, learn the same scene, if not by the same steps.
+/// Adam on only the visible parameters, or on every texel in every step, takes other steps but learns a scene of
+/// similar quality.
 #[test]
 fn which_parameters_a_step_moves_is_a_choice() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
@@ -43,7 +45,8 @@ fn which_parameters_a_step_moves_is_a_choice() {
     }
 }
 
-/// A short warm-up has long steps, and the phase after it those of the usual one; a longer one has shorter steps throughout.
+/// A short warm-up has larger steps and leaves the rates of the next phase unchanged; a long one has smaller steps
+/// throughout.
 #[test]
 fn a_short_warm_up_leaves_the_rates_after_it() {
     let rates = |warmup: u32| {
@@ -56,7 +59,7 @@ fn a_short_warm_up_leaves_the_rates_after_it() {
     assert!((0..3).all(|k| long[k] < as_usual[k]) && as_usual[1] == as_usual[0], "{long:?} {as_usual:?}");
 }
 
-/// Also between the looks at the loss, which come every ten iterations.
+/// Also between the evaluations of the loss, which happen every ten iterations.
 #[test]
 fn held_out_views_are_looked_at_as_often_as_asked() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
@@ -67,13 +70,13 @@ fn held_out_views_are_looked_at_as_often_as_asked() {
     assert_eq!(reports, [(7, true), (10, false), (14, true), (20, true)]);
 }
 
-/// That of an iteration after which there is no room for the splats that density control adds is known all the same.
+/// The loss of an iteration is kept even if density control then needs larger buffers.
 #[test]
 fn a_loss_outlives_buffers_that_grow() {
     let (gpu, mut capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
     capture.points.truncate(400);
     capture.views.iter_mut().for_each(|view| view.sees.clear());
-    // Density steps are at every twentieth iteration, looks at the loss at every tenth.
+    // Density steps are at every twentieth iteration, evaluations of the loss at every tenth.
     let options = TrainOptions { iterations: 300, ..options() };
     let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let trained = train(&capture, MeshSource::None, &options, session).unwrap();
@@ -86,7 +89,7 @@ fn a_loss_outlives_buffers_that_grow() {
     );
     let lowest = trained.history.iter().map(|progress| progress.loss).fold(f64::INFINITY, f64::min);
     for progress in &trained.history {
-        // That of empty buffers is the share of SSIM.
+        // The loss of empty buffers equals the weight of SSIM.
         assert!(progress.loss != f64::from(options.ssim_weight), "iteration {}", progress.iteration);
         assert!(progress.loss < 10.0 * lowest, "iteration {}: {}", progress.iteration, progress.loss);
     }

@@ -1,4 +1,4 @@
-//! Splats and maps together, and the file that comes of them.
+//! Joint training of splats and maps, and the file that results.
 
 use super::{plan::Plan, *};
 use crate::{
@@ -10,7 +10,7 @@ use crate::{
     },
 };
 
-/// The handover of the surface phase may keep none.
+/// The handover from the surface phase may keep no splats.
 #[test]
 fn without_any_splats_the_maps_are_trained() {
     for density in [Density::Inria, Density::Mcmc] {
@@ -26,7 +26,7 @@ fn without_any_splats_the_maps_are_trained() {
     }
 }
 
-/// The user's mesh stays where it is; a surface that the run has made follows the photographs to the end.
+/// A mesh given by the user stays fixed; a surface extracted by the run is fitted to the photographs until the end.
 #[test]
 fn only_vertices_of_a_found_surface_move_beside_splats() {
     let options = TrainOptions { iterations: 30, surface_iterations: Some(10), ..options() };
@@ -41,7 +41,7 @@ fn only_vertices_of_a_found_surface_move_beside_splats() {
         let warmed = positions_after(run, Phase::Warmup);
         let joint = positions_after(run, Phase::Joint);
         assert!(warmed != given && joint != warmed);
-        // Across the square's plane, the direction of its normals.
+        // Vertices move across the square's plane, along its normals.
         assert!(joint.iter().zip(&given).all(|(a, b)| a.truncate() == b.truncate() && a.z != b.z), "{joint:?}");
     });
 }
@@ -68,14 +68,14 @@ fn after_an_opacity_reset_the_mesh_learns_colours_only() {
                 |c: usize| before.iter().zip(after.atlas().base().texels()).skip(c).step_by(4).any(|(a, b)| a != b);
             [changed(0), changed(3)]
         };
-        // The reset follows the step 4.
+        // The reset follows step 4.
         assert_eq!(changed(5), [true, false]);
         assert_eq!(changed(6), [true, false]);
         assert_eq!(changed(4), [true, true]);
     });
 }
 
-/// With filters, too, which the file has in scales, opacities and its footprint.
+/// Also with filters, which the file represents by scales, opacities and its footprint.
 #[test]
 fn the_file_shows_what_the_trainer_showed() {
     file_shows_what_trainer_showed(&options());

@@ -1,4 +1,4 @@
-//! What is not finite is found and named, wherever it is.
+//! Values that are not finite are found and named, wherever they are.
 
 use super::*;
 use crate::optimize::{
@@ -8,7 +8,7 @@ use crate::optimize::{
 
 #[test]
 fn a_nan_is_found_and_named() {
-    // Such a splat is not drawn, so that the loss says nothing; it is found by the first look at the run all the same.
+    // Such a splat is not drawn, so the loss does not reveal it; the first check of the run finds it nevertheless.
     for (geometry, at, value, group) in [
         (true, 12 * 7, f32::NAN, "means of splat 7"),
         (true, 12 * 8 + 3, f32::NAN, "opacity logits of splat 8"),
@@ -19,7 +19,7 @@ fn a_nan_is_found_and_named() {
         let expected = format!("iteration 10 (Joint): {group} not finite");
         assert_eq!(error, expected);
     }
-    // Filters do not hide it.
+    // Filters do not hide the value.
     with_run(&TrainOptions { density: Density::Inria, antialias: true, ..options() }, |run, training, scene| {
         training.smooth();
         let mut arrays = training.read_splats().unwrap();
@@ -32,7 +32,7 @@ fn a_nan_is_found_and_named() {
 
 /// Trains with `value` at float `at` of the geometry or the SH coefficients.
 fn error_with(geometry: bool, at: usize, value: f32) -> TrainError {
-    // Without a density step before the end, which finds geometry earlier.
+    // No density step before the end, since it would find such geometry earlier.
     let options = TrainOptions { density: Density::Inria, ..options() };
     with_run(&options, |run, training, scene| {
         let mut arrays = training.read_splats().unwrap();
@@ -56,7 +56,8 @@ fn a_nan_in_a_map_is_found_and_named() {
     });
 }
 
-/// The iteration named is that of the phase, where the clock of the schedule has run on from the phase before, too.
+/// The iteration named is counted within the phase, although the clock of the schedule continues from the previous
+/// phase.
 #[test]
 fn a_nan_at_a_density_step_is_named_by_its_phase() {
     let options = TrainOptions { iterations: 60, surface_iterations: Some(40), ..options() };
@@ -72,7 +73,7 @@ fn a_nan_at_a_density_step_is_named_by_its_phase() {
     });
 }
 
-/// Reports come at other iterations, and splats learn of an exposure at the next that sees its photograph.
+/// Reports come at other iterations, and splats notice an invalid exposure only when its photograph is used next.
 #[test]
 fn no_checkpoint_holds_an_exposure_that_is_no_number() {
     let options = TrainOptions { exposure: true, ..options() };

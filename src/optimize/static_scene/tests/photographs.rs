@@ -1,4 +1,4 @@
-//! Photographs with alpha, of uneven brightness, and with poses that are a little off.
+//! Photographs with alpha, with varying exposure, and with slightly wrong poses.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use super::*;
 use crate::{capture::View, geometry, optimize::seen_points, stats};
 
-/// The demo, with its photographs changed: by name from 0.
+/// The demo with its photographs changed by `change`, which gets their index in the order of names.
 fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
     let [sparse, images] = ["sparse/0", "images"].map(|name| folder.join(name));
@@ -23,13 +23,14 @@ fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capt
     for (i, file) in names.iter().enumerate() {
         let mut picture = image::open(file).unwrap().into_rgba8();
         change(i, &mut picture);
-        // Whatever the name says.
+        // Written as PNG, whatever the file's extension.
         picture.save_with_format(images.join(file.file_name().unwrap()), image::ImageFormat::Png).unwrap();
     }
     capture::open(folder, &LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() }).unwrap()
 }
 
-/// The demo, whose photographs but for those held out are brighter or darker, and of another tint, by up to a third.
+/// The demo with training photographs that are brighter or darker and tinted, by up to a third; held-out ones are
+/// unchanged.
 fn unevenly_exposed(folder: &Path) -> Capture {
     changed(folder, |i, picture| {
         let gain = |c: usize| if i % 8 == 0 { 1.0 } else { 1.0 + 0.33 * (2.4 * i as f32 + 0.7 * c as f32).sin() };
@@ -39,13 +40,13 @@ fn unevenly_exposed(folder: &Path) -> Capture {
     })
 }
 
-/// What a photograph is transparent for does not count, whatever the others are.
+/// Transparent pixels do not count, whatever other photographs contain.
 #[test]
 fn each_photograph_has_its_own_alpha() {
     let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
     let losses = |[r, g, b, a]: [u8; 4]| {
         let capture = changed(&folder.path().join(format!("{r}-{b}-{a}")), |i, picture| {
-            // Not that of the first training view.
+            // The first training view is left unchanged.
             for (x, _, p) in picture.enumerate_pixels_mut().filter(|_| i % 3 == 0) {
                 if x < 100 {
                     p.0 = [r, g, b, a];
@@ -60,12 +61,13 @@ fn each_photograph_has_its_own_alpha() {
     };
     let [red, blue] = [[255, 0, 0, 0], [0, 0, 255, 0]].map(losses);
     assert!(red.len() == 10 && red == blue, "{red:?} {blue:?}");
-    // What is not transparent does: by 2 % at first.
+    // Opaque pixels do count: by 2 % at first.
     let [red, blue] = [[255, 0, 0, 255], [0, 0, 255, 255]].map(losses);
     assert!(red.iter().zip(&blue).take(3).all(|(a, b)| (a - b).abs() > 1e-2 * a), "{red:?} {blue:?}");
 }
 
-/// Also where undistorted frames reach outside the photographs, as those of extreme lenses do, which is a mask where there is no alpha.
+/// Also if undistorted frames reach outside the photographs, as with extreme lenses, which is treated as a mask if
+/// there is no alpha.
 #[test]
 fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
     let gpu = Gpu::open(None).unwrap();
@@ -74,7 +76,7 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
         let alpha = |x: u32| if x == 16 { opacity } else { 255 };
         let capture = in_a_row(folder.path(), k1, |x| image::Rgba([200, 100, 50, alpha(x)]));
         let photo = capture::decode(&capture.views[1]).unwrap();
-        // The first pixel is outside.
+        // The first pixel is outside the photograph.
         assert_eq!((photo.masked, photo.rgba[3] == 0), (k1 > 0.0 && !is_cut_out, k1 > 0.0), "{k1} {opacity}");
         let (options, stop) = (options(), AtomicBool::new(false));
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
@@ -83,23 +85,24 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
     }
 }
 
-/// Of what masks leave out nothing would teach the colours of a mesh: it is not made of points there, nor kept where no judging view shows it.
+/// Masked areas would not train the colours of a mesh: no mesh is made of points there, nor kept where no judging view
+/// shows it.
 #[test]
 fn a_surface_is_of_what_masks_leave() {
     let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
     let whole = changed(folder.path(), |_, _| {});
     let along = |axis: usize| stats::median(whole.points.iter().map(|point| point.position[axis]).collect()).unwrap();
     let middle = DVec3::new(along(0), along(1), along(2));
-    // Training views that judge, as they are counted without those held out.
+    // Indices of the judging training views, which are counted without the held-out ones.
     let judges = |i: usize| !i.is_multiple_of(8) && (i - i / 8 - 1) % 4 == 2;
     std::fs::create_dir(folder.path().join("masks")).unwrap();
     for (i, view) in whole.views.iter().enumerate() {
         let camera = view.camera.resized(224, 168);
         let center = camera.project(camera.to_camera(middle));
-        // Discs, but judges show no more than a corner.
+        // Masks show discs, but those of judging views only a corner.
         let mask = image::GrayImage::from_fn(224, 168, |x, y| {
             let is_in_disc = center.distance(DVec2::new(f64::from(x), f64::from(y))) < 0.2 * 224.0;
-            // Black is what JPEG leaves of it.
+            // Masked pixels are 2, not 0, as JPEG may leave black.
             let is_left = if judges(i) { x + y < 8 } else { is_in_disc };
             image::Luma([if is_left { 255 } else { 2 }])
         });
@@ -112,20 +115,20 @@ fn a_surface_is_of_what_masks_leave() {
     let (cameras, all) = (capture.cameras(), Vec::from_iter(0..capture.views.len()));
     let photo_of = |view: &View| capture::decode(view).map(|photo| Some(Arc::new(photo)));
     let seen = |capture: &Capture| seen_points::point_views(capture, &cameras, &all, photo_of).unwrap();
-    // The demo does not say what views see, of which masks leave no more in.
+    // The demo has no tracks; masks hide the same points whether visibility is given or guessed.
     let guessed = seen(&capture);
     capture.views.iter_mut().for_each(|view| view.sees = geometry::visible_points(&view.camera, &points));
     let views = seen(&capture);
     assert!(guessed.iter().zip(&views).all(|(guess, view)| guess.guessed && !view.guessed && guess.sees == view.sees));
     assert_eq!(guessed.len(), views.len());
-    // A surface of a part of them would be a guess.
+    // A surface from only some of the points would be a guess.
     let few: Vec<usize> = all.iter().copied().filter(|i| judges(*i)).collect();
     let left = seen_points::point_views(&capture, &cameras, &few, photo_of).unwrap();
     assert!(seen_points::are_few_left(&capture, &few, &left) && !seen_points::are_few_left(&capture, &all, &views));
     for view in &views {
         let at = |p: DVec3| view.camera.project(view.camera.to_camera(p));
         let far = view.sees.iter().map(|&p| at(points[p as usize].as_dvec3())).filter(|p| p.x + p.y > 5.0);
-        // Discs, and a pixel around them.
+        // The discs, enlarged by a pixel.
         assert!(far.map(|p| p.distance(at(middle))).all(|distance| distance < 0.2 * 64.0 + 1.0));
     }
     let [seen, listed] = [
@@ -148,7 +151,7 @@ fn exposures_take_out_what_the_camera_changed() {
     let capture = unevenly_exposed(folder.path());
     let held_out = |exposure: bool| {
         let stop = AtomicBool::new(false);
-        // With 400, ten looks at each photograph, what they gain differs by as much from seed to seed.
+        // With only 400 iterations, ten per photograph, the gain varies between seeds by as much as its size.
         let options = TrainOptions { exposure, iterations: 1000, sh_degree: 0, ..options() };
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
@@ -158,13 +161,13 @@ fn exposures_take_out_what_the_camera_changed() {
     let ((with, exposures), (without, _)) = (held_out(true), held_out(false));
     eprintln!("held out: {without:.2} dB, with exposures {with:.2} dB");
     assert!(with > without + 0.5, "{with} {without}");
-    // The brightest photograph is brighter than the darkest in what was fitted, too.
+    // The fitted exposures also differ between the brightest and the darkest photograph.
     let red = exposures.iter().map(|(_, e)| e[0]);
     let (low, high) = red.fold((f32::MAX, f32::MIN), |(low, high), e| (low.min(e), high.max(e)));
     assert!(high - low > 0.3, "{low} {high}");
 }
 
-/// The demo, whose training views are turned by 1.5° and moved by 1.5 % of the extent, each another way.
+/// The demo with training poses rotated by 1.5° and moved by 1.5 % of the extent, each in another direction.
 fn unevenly_posed() -> Capture {
     let mut capture = demo();
     let extent = capture::extent(capture.views.iter().map(|v| &v.camera));
@@ -178,7 +181,8 @@ fn unevenly_posed() -> Capture {
     capture
 }
 
-/// How far from where the demo's cameras see them these see its points, root mean square over all training views, pixels.
+/// Reprojection error of the demo's points, root mean square over all training views, in pixels, relative to the demo's
+/// cameras.
 fn reprojection_error(cameras: &[Camera]) -> f64 {
     let demo = demo();
     let (mut sum, mut count) = (0.0, 0);
@@ -197,7 +201,7 @@ fn poses_are_found_again() {
     let (gpu, capture) = (Gpu::open(None).unwrap(), unevenly_posed());
     let held_out = |refine_poses: bool| {
         let stop = AtomicBool::new(false);
-        // They are off by 1.5°.
+        // Poses are wrong by 1.5°.
         let options = TrainOptions { refine_poses, pose_reach: 1.7, iterations: 600, sh_degree: 0, ..options() };
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let trained = train(&capture, MeshSource::None, &options, session).unwrap();
@@ -209,7 +213,7 @@ fn poses_are_found_again() {
     eprintln!("held out: {without:.2} dB, refined {with:.2} dB; off by {before:.2} px, then {after:.2} px");
     assert!(with > without + 2.0, "{with} {without}");
     assert!(after < 0.5 * before, "{before} {after}");
-    // What is reported is what was done to the cameras; those held out keep theirs.
+    // The reported poses are the changes made to the cameras; held-out cameras are unchanged.
     for (i, (view, camera)) in capture.views.iter().zip(&refined.cameras).enumerate() {
         match refined.poses.iter().find(|(name, _)| *name == view.name) {
             None => assert!(i % 8 == 0 && view.camera == *camera),

@@ -1,4 +1,4 @@
-//! What goes after training.
+//! Pruning after training.
 
 use super::*;
 use crate::{
@@ -6,11 +6,12 @@ use crate::{
     scene::{Atlas, Texture},
 };
 
-/// What became invisible of a surface that was found goes after training; nothing does of a run that goes on, or of the user's mesh.
+/// Invisible parts of an extracted surface are dropped after training, but not in an interrupted run, and not from the
+/// user's mesh.
 #[test]
 fn what_ended_faint_is_dropped_after_training() {
     let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
-    // Below, where nothing is behind it.
+    // A second square below, with nothing behind it.
     surface.positions.extend(surface.positions.clone().iter().map(|p| *p - Vec3::Z));
     surface.triangles.extend([[4, 5, 6], [4, 6, 7]]);
     with_mesh(surface, &options(), |run, _, scene| {
@@ -40,12 +41,12 @@ fn what_ended_faint_is_dropped_after_training() {
     });
 }
 
-/// A splat goes after training if the mesh hides all of it from all views, not if it stands out between the points that rays look at,
-/// and none does of a run that goes on.
+/// A splat is dropped after training if the mesh hides all of it from all views. A splat that protrudes between the
+/// points tested by rays stays, and so do all splats of an interrupted run.
 #[test]
 fn what_ended_behind_what_is_opaque_is_dropped_after_training() {
     let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
-    // A box around the middle of the demo, with a lid and a floor.
+    // A box around the centre of the demo, with lid and floor.
     surface.positions = [-0.5, 0.5].iter().flat_map(|&z| surface.positions.iter().map(move |p| p.with_z(z))).collect();
     let sides = (0..4).flat_map(|i| [[i, (i + 1) % 4, 4 + i], [(i + 1) % 4, 4 + (i + 1) % 4, 4 + i]]);
     surface.triangles.extend(sides.chain([[4, 5, 6], [4, 6, 7]]));
@@ -55,7 +56,7 @@ fn what_ended_behind_what_is_opaque_is_dropped_after_training() {
         let mesh = mesh.clone().with_atlas(Atlas::new(base, mesh.atlas().bands().cloned()).unwrap());
         let mut arrays = scene.splats.clone().into_arrays();
         for (i, (mean, scale)) in arrays.means.iter_mut().zip(&mut arrays.log_scales).enumerate() {
-            // The first is small and in the box. The second is, too, but for what is farther than two deviations.
+            // The first is small and inside the box. The second is inside up to two standard deviations.
             *mean = if i < 2 { Vec3::ZERO } else { Vec3::new(0.0, 0.0, 1.0 + 0.01 * (i % 10) as f32) };
             *scale = if i == 1 { Vec3::new(0.48, 0.48, 0.24) } else { Vec3::splat(0.05) }.map(f32::ln);
         }

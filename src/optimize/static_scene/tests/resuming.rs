@@ -1,4 +1,4 @@
-//! Runs that are stopped, their checkpoints, and runs that go on from these.
+//! Interrupted runs, their checkpoints, and runs resumed from these.
 
 use std::sync::atomic::Ordering;
 
@@ -25,7 +25,7 @@ fn checkpoints_have_the_history() {
     assert_eq!(history(true, false).unwrap(), [10, 20]);
 }
 
-/// Also where it was stopped after it had found out.
+/// Also if the run was stopped after the reason was known.
 #[test]
 fn a_resumed_run_says_why_it_has_no_surface() {
     let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
@@ -44,7 +44,7 @@ fn a_resumed_run_says_why_it_has_no_surface() {
     assert!(why.contains("surface") && why == why_then, "{why:?} {why_then:?}");
 }
 
-/// Also while the last scores of a phase are made: what follows takes minutes.
+/// Even while the last scores of a phase are computed: the next phase takes minutes.
 #[test]
 fn a_stop_at_the_end_of_a_phase_is_heeded_there() {
     let (gpu, folder) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap());
@@ -59,7 +59,8 @@ fn a_stop_at_the_end_of_a_phase_is_heeded_there() {
     assert_eq!(Checkpoint::read(&path).unwrap().meta["phase"], serde_json::to_value(Phase::Surface).unwrap());
 }
 
-/// Where a disk has no room for a checkpoint it may have for the scene, which is all that the last iteration leaves to do.
+/// A disk without room for a checkpoint may still have room for the scene, which is all that remains after the last
+/// iteration.
 #[test]
 fn the_last_checkpoint_may_fail() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
@@ -71,7 +72,7 @@ fn the_last_checkpoint_may_fail() {
         let options = TrainOptions { iterations, checkpoint_every, ..options() };
         train(&capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
     };
-    // One that is due, also where the run is stopped after it, and one that is asked for in the last iteration.
+    // A scheduled checkpoint, one at which the run is stopped as well, and one requested in the last iteration.
     for (iterations, every, stop_after) in [(10, 10, 0), (10, 10, 10), (11, 0, 10)] {
         let outcome = outcome(iterations, every, stop_after).unwrap();
         assert_eq!(outcome, Outcome::Finished, "{iterations}, {every}, {stop_after}");
@@ -82,7 +83,7 @@ fn the_last_checkpoint_may_fail() {
     assert!(!path.exists());
 }
 
-/// Splats that were trained under other cameras are not trained on, nor those of other points.
+/// Splats trained with other cameras or other points are not continued.
 #[test]
 fn checkpoints_are_of_their_cameras_and_points() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
@@ -106,7 +107,7 @@ fn checkpoints_are_of_their_cameras_and_points() {
     }
 }
 
-/// Neither a surface to look for nor a mesh to warm up is there without a mesh.
+/// Without a mesh there is no surface phase and no warm-up.
 #[test]
 fn checkpoints_of_phases_that_a_run_has_not_are_refused() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
@@ -127,7 +128,7 @@ fn checkpoints_of_phases_that_a_run_has_not_are_refused() {
     }
 }
 
-/// Whatever stands in its arrays, a checkpoint is taken or refused.
+/// A checkpoint is accepted or refused, whatever its arrays contain.
 #[test]
 fn damaged_checkpoints_are_refused() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
@@ -160,7 +161,7 @@ fn damaged_checkpoints_are_refused() {
             damaged.write(&path).unwrap();
             match run(true) {
                 Err(TrainError::Resume(_)) => {}
-                // An array of none lost nothing.
+                // Truncating an empty array changes nothing.
                 Ok(_) if damaged == whole => {}
                 other => panic!("{source:?}, {phase:?}, {name}: {:?}", other.map(|trained| trained.outcome)),
             }

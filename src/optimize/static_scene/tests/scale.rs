@@ -1,4 +1,4 @@
-//! How large a scene is taken to be, and how large it may become.
+//! Size of a scene as estimated, and limits of its size.
 
 use glam::DVec3;
 
@@ -9,17 +9,18 @@ use crate::scene::Intrinsics;
 fn units_follow_what_is_seen() {
     assert_eq!(size::unit_of_length(5.0, None), 1.0);
     assert_eq!(size::unit_of_length(4.0, Some(4.0)), 0.8);
-    // A drone over a plain, three cameras side by side.
+    // A drone above a plain, and three cameras next to each other.
     assert_eq!((size::unit_of_length(500.0, Some(80.0)), size::unit_of_length(0.1, Some(3.0))), (24.0, 0.3));
     let mut demo = demo();
     let train: Vec<usize> = (0..demo.views.len()).collect();
     let found = size::median_depth(&demo, &train).unwrap() / capture::extent(demo.views.iter().map(|v| &v.camera));
     assert!((0.7..1.2).contains(&found), "{found}");
-    // On a tripod, whose cameras have no extent: rates of means, λ and the near plane follow what they see, too.
+    // Cameras on a tripod have no extent: learning rates of means, λ and the near plane follow the visible points
+    // instead.
     let [there, turned] = [0, 1].map(|i| demo.views[i].camera);
     let there_too =
         Camera::new(*turned.intrinsics(), turned.rotation(), -(turned.rotation() * there.center())).unwrap();
-    // Nor have they where they differ by less than a pixel.
+    // Cameras whose positions differ by less than a pixel have no extent either.
     let hand = DVec3::splat(1e-6);
     let beside = Camera::new(*there.intrinsics(), there.rotation(), there.translation() + hand).unwrap();
     for (cameras, depth, extent) in [
@@ -30,7 +31,7 @@ fn units_follow_what_is_seen() {
     ] {
         assert_eq!(size::extent(&cameras, depth), extent);
     }
-    // Through lenses ten times as long as where this begins, from ten times as far, things are as large.
+    // With focal lengths ten times as long, from ten times the distance, objects have the same size.
     let through = |times: f64| {
         let k = *there.intrinsics();
         let focal = times * f64::from(k.longer_side());
@@ -54,7 +55,7 @@ fn the_near_plane_is_near_in_small_scenes() {
     assert_eq!(near(&small[..1]), 0.05, "one camera says nothing of the size");
 }
 
-/// Also where the mesh is there before the splats are, and where its surface is made of points.
+/// Also if the mesh exists before the splats, or its surface is made of points.
 #[test]
 fn floats_stay_within_their_budget() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
@@ -65,7 +66,7 @@ fn floats_stay_within_their_budget() {
         assert!(scene.total_floats() <= 60_000, "{source:?}: {}", scene.total_floats());
         assert!(scene.total_floats() > 40_000, "{source:?}: {}", scene.total_floats());
     }
-    // Maps that nothing lays out anew begin as large as they may stay.
+    // Maps that are never laid out anew begin at their final size.
     for (source, warmup) in [(square(), 20), (MeshSource::Points, 0)] {
         let options = TrainOptions { texture_size: Some(256), warmup, ..options.clone() };
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };

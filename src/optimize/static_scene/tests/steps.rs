@@ -1,4 +1,4 @@
-//! What an iteration does, by its phase, its number and the options.
+//! Contents of a step, by phase, iteration and options.
 
 use super::{plan::Plan, *};
 use crate::{
@@ -11,14 +11,14 @@ use crate::{
     },
 };
 
-/// Sizes of the capture, none of which is another or 1.
+/// Sizes of the capture, all different from each other and from 1.
 const UNIT: f32 = 0.5;
 const EXTENT: f32 = 2.0;
 const DISTANCE: f32 = 3.0;
-/// Splats that there are said to be.
+/// Stated number of splats.
 const SPLATS: u32 = 7;
 
-/// Three views to train on; nothing is trained.
+/// A setup with three training views; nothing is trained.
 struct Stand {
     gpu: Gpu,
     capture: Capture,
@@ -41,7 +41,7 @@ impl Stand {
         look(&run)
     }
 
-    /// Iteration `t` of a phase from its beginning, with a mesh if there is one by then.
+    /// Step `t` of a phase, counted from the phase's beginning, with a mesh if there is one by then.
     fn step<T>(
         &self,
         options: &TrainOptions,
@@ -57,14 +57,15 @@ impl Stand {
     }
 }
 
-/// On the second of the views.
+/// Step `t` of a plan with the second view.
 fn of_view<T>(run: &Run, plan: &Plan, t: u32, look: impl FnOnce(&Step) -> T) -> T {
     let view = run.train[1];
     let (photo, camera) = (run.photos.of_step(view, view).unwrap(), run.cameras[view]);
     look(&run.step_on(plan, t, SPLATS, view, &camera, &photo))
 }
 
-/// A tenth of a full run: another degree of harmonics every hundred iterations, opacities that are reset after a thousand.
+/// Options for a tenth of a full run: a further SH degree every hundred iterations, and an opacity reset after a
+/// thousand.
 fn tenth() -> TrainOptions {
     TrainOptions {
         iterations: 3000,
@@ -79,7 +80,7 @@ fn assert_near(found: f32, expected: f64) {
     assert!((f64::from(found) - expected).abs() <= 1e-6 * expected.abs(), "{found}, not {expected}");
 }
 
-/// Numbers of the steps of splats, maps and vertices where these move, and degrees of splats and maps.
+/// Step numbers of splats, maps and vertices, if these are optimised, and SH degrees of splats and maps.
 #[test]
 fn every_phase_counts_its_own_steps() {
     use Phase::{Joint, Surface, Warmup};
@@ -90,12 +91,12 @@ fn every_phase_counts_its_own_steps() {
         (&MeshSource::None, Joint, 1000, [Some(1001), None, None], [2, 3]),
         (&MeshSource::Splats, Surface, 150, [Some(151), None, None], [1, 1]),
         (&MeshSource::Splats, Warmup, 0, [None, Some(1), None], [0, 0]),
-        // Vertices rest for an eighth of a phase.
+        // Vertices are fixed for the first eighth of a phase.
         (&MeshSource::Splats, Warmup, 350, [None, Some(351), Some(238)], [2, 3]),
-        // Splats go on from the surface's thousand iterations; maps are other maps, without moments.
+        // Splats continue after the thousand iterations of the surface phase; maps are new, without moments.
         (&MeshSource::Splats, Joint, 0, [Some(1001), Some(1), None], [2, 3]),
         (&MeshSource::Splats, Joint, 250, [Some(1251), Some(251), Some(1)], [2, 3]),
-        // The user's mesh stays where it is, and its maps go on.
+        // The user's mesh stays fixed, and its maps continue.
         (&given, Warmup, 150, [None, Some(151), None], [1, 1]),
         (&given, Joint, 20, [Some(21), Some(921), None], [0, 3]),
     ] {
@@ -124,7 +125,7 @@ fn every_phase_counts_its_own_steps() {
     }
 }
 
-/// In the unit of the capture, and as much as steps are longer in a short run.
+/// Noise is scaled by the capture's unit, and by the longer steps of a short run.
 #[test]
 fn mcmc_alone_has_noise_and_weights() {
     let stand = Stand::new();
@@ -154,7 +155,7 @@ fn options_reach_the_step() {
     };
     let usual = of(tenth());
     assert_eq!((usual.1, usual.2, usual.3, usual.4), (0.0, false, true, [0.0; 3]));
-    // Of three views a fifth is left out in the end, by default, and half of it half way.
+    // By default the final dropout for three views is a fifth, and half of that is reached half way.
     assert_near(usual.0.rate, 0.1);
     assert_near(of(TrainOptions { dropout: Some(0.6), ..tenth() }).0.rate, 0.3);
     assert_eq!(of(TrainOptions { dropout: Some(0.0), ..tenth() }).0.rate, 0.0);
@@ -172,7 +173,7 @@ fn options_reach_the_step() {
     assert!(next.0 != first.0.seed && next.1 != first.4);
 }
 
-/// Exposures rest in the warm-up; poses move as long as there is no mesh.
+/// Exposures are fixed in the warm-up; poses are optimised until there is a mesh.
 #[test]
 fn exposures_and_poses_move_in_their_phases() {
     use Phase::{Joint, Surface, Warmup};
@@ -195,12 +196,13 @@ fn exposures_and_poses_move_in_their_phases() {
     }
 }
 
-/// For two hundred iterations of the splats after their opacities were reset, which with MCMC they are not.
+/// Map opacities are frozen for two hundred iterations after a reset of splat opacities, which does not happen with
+/// MCMC.
 #[test]
 fn opacities_of_maps_are_held_after_those_of_splats_were_reset() {
     let stand = Stand::new();
     for density in [Density::Inria, Density::Mcmc] {
-        // So long that opacities were reset in a warm-up, too, if it had splats.
+        // Long enough that opacities would be reset in a warm-up too, if it had splats.
         let options = TrainOptions { density, warmup: 9000, ..tenth() };
         stand.run(&options, &square(), |run| {
             let holds = |phase: Phase, clock: u32, t: u32| {
@@ -217,7 +219,7 @@ fn opacities_of_maps_are_held_after_those_of_splats_were_reset() {
     }
 }
 
-/// Both the loss that steps follow and the one that is reported.
+/// Both in the loss of training steps and in the reported loss.
 #[test]
 fn the_weight_of_ssim_is_that_of_the_option() {
     let options = TrainOptions { ssim_weight: 0.7, ..options() };

@@ -1,4 +1,4 @@
-//! Surfaces that runs make, or cannot make.
+//! Surfaces that runs extract, or fail to extract.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::*;
 
-/// Surfaces are fused and laid out by the same points: those of splats, where a capture has none.
+/// Surfaces are fused and unwrapped with the same points: the means of splats, if a capture has no points.
 #[test]
 fn without_points_splats_say_whether_there_are_bounds() {
     let (gpu, mut capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
@@ -24,12 +24,12 @@ fn without_points_splats_say_whether_there_are_bounds() {
     }
 }
 
-/// Nothing is seen in black photographs; the run goes on without a mesh and has as many splats as before.
+/// Black photographs show no surface; the run continues without a mesh and keeps its number of splats.
 #[test]
 fn without_a_surface_splats_are_trained_alone() {
     let (gpu, folder, stop) = (Gpu::open(None).unwrap(), tempfile::tempdir().unwrap(), AtomicBool::new(false));
     let capture = in_a_row(folder.path(), 0.0, |_| image::Rgba([0, 0, 0, 255]));
-    // Hardly any splats, all transparent by the end of the surface phase.
+    // Few splats, all transparent by the end of the surface phase.
     let options = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: Some(5), ..options() };
     for source in [MeshSource::Splats, MeshSource::Points] {
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
@@ -40,7 +40,7 @@ fn without_a_surface_splats_are_trained_alone() {
     }
 }
 
-/// Nor do maps that have no room for its charts end the run.
+/// A run also continues if the maps have no room for the charts of its surface.
 #[test]
 fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
@@ -51,8 +51,8 @@ fn a_surface_that_cannot_be_laid_out_leaves_the_splats() {
     assert!(trained.no_surface.is_some_and(|why| why.contains("atlas")));
 }
 
-/// Structure from motion leaves points right before cameras, in the sky and a thousand times as far: neither bounds nor how
-/// large splats begin may follow them.
+/// Structure from motion produces wrong points: right in front of cameras, in the sky and a thousand times as far away.
+/// Neither bounds nor initial splat sizes may depend on them.
 #[test]
 fn a_few_wild_points_do_little_harm() {
     let (gpu, stop) = (Gpu::open(None).unwrap(), AtomicBool::new(false));
@@ -71,7 +71,7 @@ fn a_few_wild_points_do_little_harm() {
         let [clean, wild] = [&clean, &wild].map(|capture| {
             let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
             let trained = train(capture, source.clone(), &options, session).unwrap();
-            // Whether any of it is worth its texels after so few iterations is another matter.
+            // Whether the mesh is worth its texels after so few iterations is not tested here.
             let found = trained.selection.unwrap();
             assert!(found.triangles > 100, "{found:?}");
             eprintln!("{source:?}: {found:?}");

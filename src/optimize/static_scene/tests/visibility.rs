@@ -1,4 +1,4 @@
-//! What training views see of a mesh that is brought along.
+//! Visibility of a given mesh from the training views.
 
 use glam::{DVec2, Vec2};
 
@@ -9,20 +9,20 @@ use crate::{
     scene::Texture,
 };
 
-/// Of a mesh that is brought along, what no training view shows would stay grey and half transparent.
+/// Parts of a given mesh that no training view shows would stay grey and half transparent.
 #[test]
 fn what_no_view_sees_of_a_given_mesh_is_transparent() {
     let MeshSource::Given { mut surface, .. } = square() else { unreachable!() };
-    // Far above, where no camera looks.
+    // A copy of the mesh far above, where no camera looks.
     let above = surface.positions.iter().map(|p| *p + Vec3::new(0.0, 0.0, 1e4)).collect::<Vec<_>>();
     surface.positions.extend(above);
     surface.triangles.extend([[4, 5, 6], [4, 6, 7]]);
     let (gpu, capture, stop) = (Gpu::open(None).unwrap(), demo(), AtomicBool::new(false));
-    // On the larger map rays go to every other texel.
+    // On the larger map, rays are cast to every other texel.
     for size in [64, 2048] {
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
-        // However few of the 42 views it has looked at.
+        // Although training has used few of the 42 views.
         let options = TrainOptions { texture_size: Some(size), ..options() };
         let trained = train(&capture, source, &options, session).unwrap();
         let mesh = &trained.scene.meshes[0];
@@ -35,20 +35,21 @@ fn what_no_view_sees_of_a_given_mesh_is_transparent() {
             logits.map(|(logit, _)| *logit).collect::<Vec<f32>>()
         };
         let (seen, hidden) = (texels_of(0..2, 0), texels_of(2..4, 0));
-        // But for what coarser levels mix with the chart beside it, all of it, and a texel around it.
+        // All of the unseen chart is transparent, and a texel around it, except where coarser levels mix it with the
+        // neighbouring chart.
         let is_grey = |logit: &&f32| **logit != unseen::TRANSPARENT;
         let rim = texels_of(2..4, 1);
         assert!(hidden.len() * 8 > logits.len() && hidden.iter().filter(is_grey).count() * 15 < hidden.len());
         assert!(rim.len() > hidden.len() && rim.iter().filter(is_grey).count() * 15 < rim.len());
-        // Its corners are beyond the table, and learn to be transparent.
+        // The square's corners are beyond the table, and become transparent in training.
         let opaque = seen.iter().filter(|logit| **logit > -1.0).count();
         assert!(opaque * 2 > seen.len(), "{size}: {opaque} of {}", seen.len());
-        // Between charts there is nothing to hide.
+        // Texels between charts are not changed.
         assert!(logits.iter().filter(|logit| **logit == unseen::TRANSPARENT).count() < 2 * hidden.len());
     }
 }
 
-/// Pictures of 64 pixels begin at half of the size: 32 are the least.
+/// Pictures of 64 pixels begin at half their size, since 32 is the minimum.
 #[test]
 fn growing_pictures_read_coarser_levels_at_first() {
     for (coarse_to_fine, levels) in [(false, 0), (true, 1)] {
@@ -56,7 +57,7 @@ fn growing_pictures_read_coarser_levels_at_first() {
     }
 }
 
-/// Over a floor a ball with another in it, and half before it a third.
+/// A floor, above it a ball with another ball inside, and a third ball that half occludes it.
 fn balls() -> Surface {
     let mut all = Surface {
         positions: [[-0.8, -0.8, 0.0], [0.8, -0.8, 0.0], [0.8, 0.8, 0.0], [-0.8, 0.8, 0.0]].map(Vec3::from).to_vec(),
@@ -78,7 +79,7 @@ fn balls() -> Surface {
     all
 }
 
-/// Rays know of every texel under a pixel and of every one that a gradient reaches, and of hardly any other.
+/// Rays find every texel under a pixel and every texel with a gradient, and few others.
 #[test]
 fn rays_reach_what_the_renderer_shows() {
     for layers in [1, 2] {
@@ -108,7 +109,8 @@ fn rays_reach_what_the_renderer_shows() {
             }
             run.run_phase(training, scene, Phase::Warmup, None).unwrap();
             let second = training.read_texel_moments().unwrap().1;
-            // By what the rays say of a texel's centre, if it lies in a triangle: touched by a gradient or not, reached or not.
+            // By the result of the ray to a texel's centre, if that is in a triangle: with or without a gradient,
+            // reached or not.
             let (one, uvs) = (Texture::new(1, 1, 1, vec![1.0]).unwrap(), mesh.corner_uvs());
             let drawn = geometry::transfer(&one, uvs, uvs, 256, 0).unwrap();
             let mut counts = [[[0; 2]; 2]; 3];
@@ -128,7 +130,7 @@ fn rays_reach_what_the_renderer_shows() {
             eprintln!("outside, hidden, seen × untouched, touched × not reached, reached: {counts:?}");
             assert!(pixels > 20_000 && missed == 0 && off_center * 50 < pixels);
             assert_eq!(counts.map(|of_sight| of_sight[1][0]), [0; 3]);
-            // Beside slivers at the poles, which are filtered with them where a pixel falls on one: of these few pixels hardly any does.
+            // Apart from slivers at the poles, with which texels are filtered together where a pixel falls on one.
             let too_many = counts[1][0][1] + counts[2][0][1];
             assert!(too_many * 80 < counts[1..].as_flattened().as_flattened().iter().sum::<usize>());
             assert!(layers == 2 || counts[1][0][0] > 2000);

@@ -213,11 +213,11 @@ mod tests {
             ("0000:41:00.0", 0),
             ("0000:c1:00.0", 1),
             ("41:00.0", 0),
-            // As nvidia-smi writes them.
+            // Bus addresses as printed by nvidia-smi.
             ("00000000:C1:00.0", 1),
             ("00000001:41:00.0", 2),
             ("h100", 0),
-            // Without # a digit is part of a name.
+            // Without `#`, a digit is part of a name.
             ("15", 3),
             ("", 0),
         ] {
@@ -237,7 +237,7 @@ mod tests {
         }
         let nothing = |wanted, unfit: &[String]| choose(wanted, &[], unfit).unwrap_err().to_string();
         assert!(nothing(Some("#0"), &[]).starts_with("no GPU adapter found: install "));
-        // One that is there but cannot is not missing.
+        // An adapter that exists but lacks features is not reported as missing.
         let old = wgpu::Limits { max_storage_buffers_per_shader_stage: 8, ..wgpu::Limits::default() };
         let old = [format!("Old One by Gl {}", lack(&old).unwrap())];
         let said = "(Old One by Gl has 8 storage buffers per shader stage, expected 12)";

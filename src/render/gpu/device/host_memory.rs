@@ -101,7 +101,7 @@ mod tests {
         }
     }
 
-    /// A system of 8 GiB free, and groups within groups as either version and both together have them.
+    /// A system with 8 GiB free memory, and nested control groups of version 1, of version 2, and of both.
     #[test]
     fn the_tightest_group_of_either_version_counts() {
         let root = tempfile::tempdir().unwrap();

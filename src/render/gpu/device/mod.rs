@@ -239,7 +239,7 @@ mod tests {
         let gpu = Gpu::open(None).unwrap();
         gpu.ensure_free("a little", 1 << 20).unwrap();
         gpu.check().unwrap();
-        // What a driver has is not to be asked by a test, which would have to take all of it.
+        // The memory of a GPU cannot be tested, since a test would have to allocate all of it.
         let free = gpu.is_unified.then(host_memory).flatten().unwrap_or(1 << 30);
         let error = gpu.ensure_within(free, "training", 1 << 60).unwrap_err();
         assert!(error.is_lack_of_memory());
@@ -299,7 +299,7 @@ mod tests {
     fn running_out_of_memory_is_an_error_that_names_the_adapter() {
         let gpu = Gpu::open(None).unwrap();
         let held = gpu.storage("something", 3 << 18).unwrap();
-        // As wgpu reports it when it stages a copy.
+        // Out of memory as wgpu reports it when staging a copy.
         let error = wgpu::Error::OutOfMemory { source: "no memory".into() };
         *gpu.failure.lock().unwrap() = Some(error.into());
         let expected = format!(
@@ -307,9 +307,9 @@ mod tests {
             gpu.adapter()
         );
         assert_eq!(gpu.read::<u32>(&held, 1).unwrap_err().to_string(), expected);
-        // There may be enough for the next.
+        // The next allocation may succeed.
         assert_eq!(gpu.read::<u32>(&held, 1).unwrap(), [0]);
-        // What else went wrong is not over.
+        // Other failures are permanent.
         *gpu.failure.lock().unwrap() = Some(Failure::Other("lost".to_owned()));
         for error in [gpu.check().unwrap_err(), gpu.wait().unwrap_err()] {
             assert!(error.to_string().contains("lost"), "{error}");

@@ -1,4 +1,4 @@
-//! Many steps of texels, one after the other, against Adam in f64.
+//! Many consecutive steps of texels, compared with Adam in f64.
 
 use glam::{Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -7,24 +7,24 @@ use rand_pcg::Pcg32;
 use super::*;
 use crate::render::gpu::status::{Status, status_buffer};
 
-/// As f32 has them; what a step adds is what is left of these to 1.
+/// β₁ and β₂ as rounded to f32; new values are weighted by 1 minus these.
 const BETAS: [f32; 2] = [0.9, 0.999];
 const RATES: [f32; 2] = [0.1, 0.05];
 const STEPS: u32 = 20;
 
-/// With maps of these sides, the bands of degree 1.
+/// A mesh with maps of these sizes, the bands of degree 1.
 fn mesh(base: [u32; 2], bands: Option<[u32; 2]>, rng: &mut Pcg32) -> Mesh {
     let mut texture = |[width, height]: [u32; 2], channels: u32, reach: f32| {
         let texels = (0..width * height * channels).map(|_| rng.random_range(-reach..reach)).collect();
         Texture::new(width, height, channels, texels).unwrap()
     };
-    // Opacities are held between ±6, outside of which some of these begin.
+    // Opacity logits are clamped to ±6, and some begin outside.
     let base = texture(base, 4, 7.0);
     let atlas = Atlas::new(base, bands.map(|size| texture(size, 9, 1.0))).unwrap();
     Mesh::new(vec![Vec3::ZERO, Vec3::X, Vec3::Y], vec![[0, 1, 2]], vec![[Vec2::ZERO; 3]], atlas).unwrap()
 }
 
-/// Level 0 of a map, and its moments.
+/// Level 0 of a map and its moments, computed on the host.
 struct Host {
     map: Map,
     values: Vec<f64>,
@@ -37,7 +37,7 @@ impl Host {
         Self { map, moments: vec![[0.0; 2]; values.len()], values }
     }
 
-    /// Of all maps of a kind.
+    /// All maps of one kind.
     fn all(pool: &Pool, textures: impl Iterator<Item = Option<Texture>>) -> Vec<Self> {
         let maps = pool.maps.iter().zip(textures);
         maps.filter_map(|(map, texture)| Some(Self::new((*map)?, &texture?))).collect()
@@ -47,7 +47,7 @@ impl Host {
         self.map.offset + (0..level).map(|finer| self.map.floats(finer)).sum::<usize>()
     }
 
-    /// Gradient of float `i`, units: its own, and of each coarser texel around it the part that is the float's of that mean.
+    /// Gradient of float `i` in fixed-point units: its own, plus its share of each coarser texel that contains it.
     fn gradient(&self, all: &[i32], i: usize) -> f64 {
         let (channels, width) = (self.map.channels as usize, self.map.width as usize);
         let (row, column, channel) = (i / channels / width, i / channels % width, i % channels);
@@ -81,10 +81,10 @@ impl Host {
         }
     }
 
-    /// Compares level 0 and its moments, and every other level with the means of the one before it.
+    /// Compares level 0 and its moments, and every other level with the means of the level below.
     fn check(&self, texels: &[f32], moments: &[[f32; 2]], case: &str) {
         let rate = f64::from(RATES[usize::from(!self.map.is_base)]);
-        // Of all steps of a full rate, and what is rounded in sums of up to 6.
+        // All steps at the full rate, plus rounding in sums of up to 6.
         let tolerance = f64::from(STEPS) * (1e-5 * rate + 6.0 * f64::from(f32::EPSILON));
         for (i, (value, [m, v])) in self.values.iter().zip(&self.moments).enumerate() {
             let (found, [found_m, found_v]) =
@@ -109,7 +109,7 @@ impl Host {
     }
 }
 
-/// Of every second step and more a float hears nothing of its own, and what it hears changes its sign.
+/// In every second step or more, a float gets no gradient of its own, and gradients change sign.
 #[test]
 fn twenty_steps_equal_adam_in_f64() {
     for visited_only in [false, true] {
@@ -127,7 +127,7 @@ fn twenty_steps_equal_adam_in_f64() {
         assert_eq!((levels(&base), levels(&bands)), (vec![5, 1, 2], vec![4, 2]));
         let mut kinds = [(&texels.base, base, 1.0), (&texels.bands, bands, f64::from(BAND_UNIT))];
         for number in 1..=STEPS {
-            // Of every fifth step fragments are crowded, which makes units twice as large.
+            // In every fifth step fragments are crowded, which doubles the fixed-point unit.
             let largest = [20.0_f32, 0.5, 3e-4][number as usize % 3];
             let (crowded, n_crowded) = if number % 5 == 0 { (8.0 * largest, 2.0 * CROWD) } else { (0.0, 0.0) };
             let peak = if number % 5 == 0 { 2.0 * largest } else { largest };
@@ -135,7 +135,7 @@ fn twenty_steps_equal_adam_in_f64() {
             let [base_rate, band_rate] = RATES;
             let step = TexelStep { number, base_rate, band_rate, visited_only, holds_opacity: false };
             for (pool, hosts, of_kind) in &mut kinds {
-                // Whole numbers of so few digits that f32 holds what those of all levels add up to.
+                // Integers with few enough digits for f32 to represent the sum over all levels.
                 let mut units = || if rng.random_range(0..10) < 7 { 0 } else { rng.random_range(-32_000..32_000) };
                 let gradients: Vec<i32> = (0..pool.floats()).map(|_| units()).collect();
                 gpu.write(&pool.training.as_ref().unwrap().gradients, 0, &gradients);

@@ -1,4 +1,4 @@
-//! Steps of vertices against f64: what Adam is given, what it makes of it, and how that is smoothed over the surface.
+//! Steps of vertices compared with f64: gradients, Adam, and smoothing over the surface.
 
 use std::collections::BTreeSet;
 
@@ -20,9 +20,9 @@ use crate::{
     scene::{Atlas, OrderMode, Texture},
 };
 
-/// As f32 has them; what a step adds is what is left of these to 1.
+/// β₁ and β₂ as rounded to f32; new values are weighted by 1 minus these.
 const BETAS: [f32; 2] = [0.9, 0.999];
-/// 2³²: its low word is 0.
+/// 2³², whose low word is 0.
 const WIDE: i64 = 1 << 32;
 
 fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Mesh {
@@ -30,13 +30,13 @@ fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Mesh {
     Mesh::new(positions, triangles, uvs, Atlas::new(Texture::zeros(1, 1, 4), None).unwrap()).unwrap()
 }
 
-/// A sheet of three by three cells, with one triangle more at a corner and one on an edge inside; a tent.
+/// A sheet of three by three cells with an additional triangle at a corner and one on an inner edge; and a tent.
 fn meshes() -> [Mesh; 2] {
     let grid = (0..16_u8).map(|i| Vec3::new(f32::from(i % 4), f32::from(i / 4), 0.0) / 3.0);
     let cells = [0, 1, 2, 4, 5, 6, 8, 9, 10];
     let mut triangles: Vec<[u32; 3]> = cells.iter().flat_map(|&a| [[a, a + 1, a + 5], [a, a + 5, a + 4]]).collect();
     triangles.extend([[0, 16, 17], [5, 6, 18]]);
-    // The last is of no triangle.
+    // The last vertex belongs to no triangle.
     let others = [[-0.3, -0.1, 0.0], [-0.1, -0.3, 0.0], [0.5, 0.3, 0.4], [1.0, 1.0, 1.0]].map(Vec3::from);
     let sheet = mesh(grid.chain(others).collect(), triangles);
     let corners = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0], [0.5, 0.5, 1.4]];
@@ -44,7 +44,8 @@ fn meshes() -> [Mesh; 2] {
     [sheet, tent]
 }
 
-/// With what each vertex is smoothed: its neighbours, or on a border, which edges are that two triangles do not share, those along it.
+/// Vertices with which each vertex is smoothed: its neighbours or, on a boundary (edges not shared by two triangles),
+/// those along it.
 fn neighbors(meshes: &[Mesh]) -> Vec<Vec<usize>> {
     let mut of = vec![];
     for mesh in meshes {
@@ -61,7 +62,7 @@ fn neighbors(meshes: &[Mesh]) -> Vec<Vec<usize>> {
     of
 }
 
-/// Vertices that are free, and the buffers that they are moved by.
+/// Free vertices with the buffers of their steps.
 struct Rig<'g> {
     gpu: &'g Gpu,
     vertices: Vertices,
@@ -80,7 +81,8 @@ impl<'g> Rig<'g> {
         Self { gpu, vertices, positions, status, peaks }
     }
 
-    /// A step by gradients of so many units of fixed point, of which the largest of a fragment makes `FIXED_ONE`.
+    /// A step with gradients in fixed-point units, where `largest`, the largest gradient of a fragment, equals
+    /// `FIXED_ONE` units.
     fn step(&self, step: &VertexStep, units: &[i64], largest: f32) {
         let words: Vec<[u32; 2]> = units.iter().map(|&u| [u as u32, (u >> 32) as u32]).collect();
         self.gpu.write(&self.vertices.gradient, 0, &words);
@@ -100,7 +102,7 @@ impl<'g> Rig<'g> {
     }
 }
 
-/// Adam's step number `t`, by moments that get one gradient more.
+/// Adam's step number `t`, after updating the moments with a gradient.
 fn adam(moments: &mut [f64; 2], g: f64, t: i32) -> f64 {
     let [first, second] = BETAS.map(f64::from);
     *moments = [first * moments[0] + (1.0 - first) * g, second * moments[1] + (1.0 - second) * g * g];
@@ -108,7 +110,8 @@ fn adam(moments: &mut [f64; 2], g: f64, t: i32) -> f64 {
     first / (second.sqrt() + 1e-15)
 }
 
-/// Sixteen iterations of Jacobi's for (1 + 8·Laplacian)·x = steps, the Laplacian being the difference from the neighbours' mean.
+/// Sixteen Jacobi iterations for (1 + 8·Laplacian)·x = steps, where the Laplacian is the difference from the mean of
+/// the neighbours.
 fn smoothed(steps: &[f64], neighbors: &[Vec<usize>]) -> Vec<f64> {
     (0..16).fold(steps.to_vec(), |x, _| {
         let of_vertex = |(step, around): (&f64, &Vec<usize>)| match around.len() {
@@ -135,7 +138,7 @@ fn three_steps_equal_adam_and_jacobi_in_f64() {
         let (mut positions, mut moments) = (rig.read().0, vec![[0.0_f64; 2]; n]);
         let (mut last, mut turned) = (vec![0_i64; n], 0);
         for (t, rate, largest) in [(1_usize, 0.8, 0.37_f32), (2, 0.5, 2.1e-3), (3, 1.1, 40.0)] {
-            // Of either sign and any size, also such that one of the two words is 0 or the carry of the other.
+            // Values of either sign and any magnitude, including some with a zero word or a carry between the words.
             let units: Vec<i64> = (0..n)
                 .map(|v| match (v + 3 * t) % 8 {
                     0 => [0, WIDE, -1][v % 3],
@@ -159,7 +162,7 @@ fn three_steps_equal_adam_and_jacobi_in_f64() {
                 positions[v] -= rate * smooth * normals[v].as_dvec3();
                 let error = found[v].distance(positions[v]);
                 assert!(error < 1e-5 * rate, "step {t}, vertex {v}: {error:e} of {rate}, {} units", units[v]);
-                // First moments are sums of terms that may cancel, each of which is rounded.
+                // First moments are sums of terms that can cancel, each with its rounding.
                 for (k, scale) in [moments[v][1].sqrt(), moments[v][1]].into_iter().enumerate() {
                     let (found, expected) = (f64::from(found_moments[v][k]), moments[v][k]);
                     assert!((found - expected).abs() <= 1e-5 * scale, "step {t}, vertex {v}: {found}, not {expected}");
@@ -169,7 +172,7 @@ fn three_steps_equal_adam_and_jacobi_in_f64() {
         assert!(turned > 5, "{turned} gradients turn round");
         assert_eq!(Status::read(&gpu, &rig.status).unwrap().not_finite, None);
 
-        // What must not change anything does not.
+        // A step that must not change anything.
         let before = rig.read();
         gpu.write(&rig.status, 0, &[1_u32]);
         rig.step(&VertexStep { number: 4, rate: 1.0 }, &last, 1.0);
@@ -177,7 +180,7 @@ fn three_steps_equal_adam_and_jacobi_in_f64() {
     }
 }
 
-/// Sums of two words are what they are of 64 bits: Adam's first moments of the first step are a tenth of them.
+/// Sums of two words equal 64-bit sums: Adam's first moments after the first step are a tenth of them.
 #[test]
 fn adam_has_the_sums_of_both_words() {
     let gpu = Gpu::open(None).unwrap();
@@ -201,7 +204,7 @@ fn adam_has_the_sums_of_both_words() {
     assert!(given.eq(positions), "of rate 0 nothing moves");
 }
 
-/// From a picture's cotangent to Adam: gradients along the normals.
+/// From the cotangent of a picture to Adam: gradients along the normals.
 #[test]
 fn adam_has_the_gradients_of_the_reference() {
     for (gpu, seed) in [(Gpu::open(None).unwrap(), 0), (Gpu::open(None).unwrap().posing_as_gpu(), 1)] {

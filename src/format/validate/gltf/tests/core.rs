@@ -1,4 +1,4 @@
-//! Faults of the core.
+//! Faults in core glTF.
 
 use serde_json::json;
 
@@ -133,7 +133,7 @@ pub(super) const PLANTED: &[Planted] = &[
         let moved = f.push("accessors", moved);
         primitive(f, SURFACE)["targets"] = json!([{ "POSITION": moved }]);
     }),
-    // A second attribute among the bytes of the first.
+    // A second attribute interleaved with the bytes of the first.
     ("VIEW_STRIDE", "/bufferViews/0", |f| {
         let position = f.json["accessors"][f.attribute(SURFACE, "POSITION")].clone();
         let again = f.push("accessors", position);
@@ -164,7 +164,7 @@ pub(super) const PLANTED: &[Planted] = &[
     }),
 ];
 
-/// An accessor without data is zero, unless an extension may have the data; its bounds may be any.
+/// An accessor without data is zero, unless an extension can provide the data, in which case any bounds are valid.
 #[test]
 fn what_is_stored_nowhere_is_zero() {
     let mut file = everything();

@@ -1,4 +1,4 @@
-//! Faults of `EXT_gaussian_splatting_hybrid`.
+//! Faults in `EXT_gaussian_splatting_hybrid`.
 
 use serde_json::{Value, json};
 
@@ -17,14 +17,14 @@ fn field(file: &mut File) -> &mut Value {
     &mut file.json["extensions"][HYBRID]["deformationFields"][0]
 }
 
-/// As many texels in one column.
+/// The same number of texels in one column.
 fn flatten(source: &mut Value) {
     let texels = source["width"].as_u64().unwrap() * source["height"].as_u64().unwrap();
     source["width"] = json!(1);
     source["height"] = json!(texels);
 }
 
-/// Coefficient `i`, read from the picture of the base colour.
+/// Reads coefficient `i` from the picture of the base colour.
 fn pictured(file: &mut File, i: usize) -> &mut Value {
     let coefficient = &mut hybrid_material(file)["sphericalHarmonics"]["coefficients"][i];
     *coefficient = json!({ "texture": { "index": 0 } });
@@ -98,7 +98,7 @@ pub(super) const PLANTED: &[Planted] = &[
     ("INDEX_RANGE", "/surfaceVertices", |f| {
         primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"] = json!(9999);
     }),
-    // The hybrid.
+    // The hybrid extension.
     ("HYBRID_REQUIRED", "/extensionsRequired/0", |f| f.json["extensionsRequired"] = json!([HYBRID])),
     ("HYBRID_TOKEN", "/mode", |f| f.json["scenes"][0]["extensions"][HYBRID]["mode"] = json!("any")),
     ("HYBRID_COLOR_SPACE", "/colorSpace", |f| hybrid_material(f)["colorSpace"] = json!("lin_rec709_display")),
@@ -131,7 +131,7 @@ pub(super) const PLANTED: &[Planted] = &[
         let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
         f.element(source, 1, 4).copy_from_slice(&2u32.to_le_bytes());
     }),
-    // All of them copies of vertex 0.
+    // All vertices are copies of vertex 0.
     ("HYBRID_SURFACE_POSITION", "/surfaceVertices", |f| {
         let source = primitive(f, SURFACE)["extensions"][HYBRID]["surfaceVertices"].as_u64().unwrap() as usize;
         drop(f.json["accessors"][source].as_object_mut().unwrap().remove("bufferView"));
@@ -168,7 +168,7 @@ pub(super) const PLANTED: &[Planted] = &[
         let pairs = f.floats("VEC2", &[0.5; 12]);
         field(f)["levels"][0]["planes"][0] = json!(pairs);
     }),
-    // Three outputs for the four coefficients of degree 1.
+    // Three outputs, but degree 1 has four coefficients.
     ("HYBRID_LAYER_CHAIN", "/deformation", |f| {
         field(f)["heads"]["sphericalHarmonics"] = field(f)["heads"]["translation"].clone();
     }),
@@ -204,7 +204,7 @@ pub(super) const PLANTED: &[Planted] = &[
     ("HYBRID_MAP_SIZE", "/coefficients/3", |f| {
         flatten(&mut hybrid_material(f)["sphericalHarmonics"]["coefficients"][3]);
     }),
-    // Of 8×16 texels, as coefficient 0; the others have 4×2.
+    // 8×16 texels, as in coefficient 0; the others have 4×2.
     ("HYBRID_MAP_SIZE", "/coefficients/2", |f| _ = pictured(f, 1)),
     ("HYBRID_TEXEL_UNUSED", "/coefficients/1/sampler", |f| pictured(f, 1)["sampler"] = json!(0)),
     ("HYBRID_TEXEL_UNUSED", "/opacity/channel", |f| hybrid_material(f)["opacity"]["channel"] = json!(1)),
@@ -240,7 +240,7 @@ pub(super) const PLANTED: &[Planted] = &[
         binding(f)["rotations"] = json!(coarse);
     }),
     ("HYBRID_BINDING_MESH", "/binding/node", |f| primitive(f, SURFACE)["mode"] = json!(5)),
-    // Another order of triangles, another order of corners, a vertex moved, a digest of something else.
+    // Another order of triangles, another order of corners, a moved vertex, and the digest of another mesh.
     ("HYBRID_BINDING_DIGEST", "/binding/geometryDigest", |f| {
         let indices = primitive(f, SURFACE)["indices"].as_u64().unwrap() as usize;
         let (first, second) = f.element(indices, 0, 4 * 6).split_at_mut(12);
@@ -292,7 +292,7 @@ fn a_scene_is_held_to_what_its_nodes_reach() {
     let mut file = everything();
     let composed = contract(&mut file).clone();
     let in_linear_light = |object: &mut Value| object["colorSpace"] = json!("lin_rec709_display");
-    // Splats of a scene of its own, and a material that nothing has.
+    // Splats in a scene of their own, and an unused material.
     let mut splats = file.json["meshes"][SPLATS].clone();
     let own = &mut splats["primitives"][0];
     own["attributes"].as_object_mut().unwrap().remove("COLOR_0");
@@ -307,7 +307,7 @@ fn a_scene_is_held_to_what_its_nodes_reach() {
     file.push("materials", unused);
     assert_eq!(file.codes(), [""; 0]);
 
-    // Splats and a surface of the first scene, below a node of the second.
+    // Splats and a surface of the first scene that are also below a node of the second scene.
     let children = [SPLATS, SURFACE].map(|mesh| file.push("nodes", json!({ "mesh": mesh })));
     let above = file.push("nodes", json!({ "children": children }));
     file.json["scenes"][other]["nodes"].as_array_mut().unwrap().push(json!(above));

@@ -1,4 +1,4 @@
-//! Faults of `KHR_gaussian_splatting`.
+//! Faults in `KHR_gaussian_splatting`.
 
 use serde_json::json;
 

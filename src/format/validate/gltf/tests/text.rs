@@ -1,4 +1,4 @@
-//! The text of the extension against its schemas.
+//! Comparison of the extension's text with its schemas.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -17,10 +17,10 @@ fn readme() -> String {
     std::fs::read_to_string(folder().join("README.md")).unwrap()
 }
 
-/// Properties of an object, each with whether it is required.
+/// Properties of an object, with whether each is required.
 type Properties = BTreeMap<String, bool>;
 
-/// The tables of properties, each by the schema that the text above it links last.
+/// The tables of properties, by the schema linked last in the text above each.
 fn tables(text: &str) -> BTreeMap<String, Properties> {
     let mut tables = BTreeMap::new();
     let (mut schema, mut inside) = (String::new(), false);
