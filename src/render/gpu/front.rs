@@ -27,8 +27,8 @@ pub(crate) struct Front {
     pub(crate) image: ImageCapacity,
     /// Number of times that splats or lists were replaced.
     renewals: u64,
-    /// [`MeshStage::layer_generation`] that `lists` are bound to.
-    lists_bound_to: u64,
+    /// [`MeshStage::layer_generation`] that `lists` are bound to; `None` if they are out of date.
+    lists_bound_to: Option<u64>,
 }
 
 impl Front {
@@ -64,7 +64,7 @@ impl Front {
             composition: *composition,
             image,
             renewals: 0,
-            lists_bound_to: mesh.as_ref().map_or(0, MeshStage::layer_generation),
+            lists_bound_to: Some(mesh.as_ref().map_or(0, MeshStage::layer_generation)),
             view,
             splats,
             mesh,
@@ -72,10 +72,15 @@ impl Front {
         })
     }
 
-    /// Number of times that buffers which others bind were replaced.
+    /// Number of times that buffers which others bind were replaced: splats, their lists and mesh layers.
     pub(crate) fn generation(&self) -> u64 {
         // Neither addend ever falls, so the sum changes with either.
-        self.renewals + self.mesh.as_ref().map_or(0, MeshStage::generation)
+        self.renewals + self.layer_generation()
+    }
+
+    /// Number of times that the list of (bin, triangle) pairs was replaced, which only the check of lists binds.
+    pub(crate) fn triangle_list_generation(&self) -> u64 {
+        self.mesh.as_ref().map_or(0, MeshStage::generation)
     }
 
     /// Prepares a frame of this camera, which must not be larger than those announced. Returns the shaders' view.
@@ -86,7 +91,7 @@ impl Front {
         if let Some(mesh) = &mut self.mesh {
             mesh.resize(gpu, &view, &self.view)?;
         }
-        if self.lists_bound_to != self.layer_generation() {
+        if self.lists_bound_to != Some(self.layer_generation()) {
             self.renew_lists(gpu, self.lists.pairs.capacity())?;
         }
         Ok(view)
@@ -173,11 +178,13 @@ impl Front {
 
     fn renew_lists(&mut self, gpu: &Gpu, pairs: usize) -> Result<(), GpuError> {
         self.renewals += 1;
+        // Should this fail, the old lists are out of date: `splats` may have been replaced.
+        self.lists_bound_to = None;
         let purpose = self.lists.purpose();
         let layer_depth = layers_to_order_by(self.mesh.as_ref(), purpose);
         let inputs = ListInputs { purpose, splats: &self.splats, image: self.image, view: &self.view, layer_depth };
         self.lists = SplatLists::new(gpu, &inputs, pairs)?;
-        self.lists_bound_to = self.layer_generation();
+        self.lists_bound_to = Some(self.layer_generation());
         Ok(())
     }
 
@@ -207,20 +214,21 @@ mod tests {
         let mut front = Front::new(&gpu, &scene, 0, &[camera], Purpose::Render(ImageModel::Ewa), None).unwrap();
         let [pairs, triangles] = front.list_lengths();
         let mut renews = |change: &dyn Fn(&mut Front) -> Result<(), GpuError>| {
-            let before = front.generation();
+            let before = [front.generation(), front.triangle_list_generation()];
             change(&mut front).unwrap();
-            assert_eq!(front.lists_bound_to, front.layer_generation(), "lists are never left behind");
-            front.generation() > before
+            assert_eq!(front.lists_bound_to, Some(front.layer_generation()), "lists are never left behind");
+            [front.generation() > before[0], front.triangle_list_generation() > before[1]]
         };
         let k = camera.intrinsics();
         let larger = camera.resized(2 * k.width, 2 * k.height);
         let sh_degree = scene.splats.sh_degree();
-        assert!(!renews(&|f| f.prepare(&gpu, &camera).map(drop)));
-        assert!(!renews(&|f| f.lengthen_lists(&gpu, [pairs, triangles])));
-        assert!(renews(&|f| f.lengthen_lists(&gpu, [pairs + 1, 0])));
-        assert!(renews(&|f| f.lengthen_lists(&gpu, [0, triangles + 1])));
-        assert!(renews(&|f| f.empty_lists(&gpu)));
-        assert!(renews(&|f| f.replace_splats(&gpu, SplatBuffers::new(&gpu, 9, sh_degree)?, 0).map(drop)));
-        assert!(renews(&|f| f.prepare(&gpu, &larger).map(drop)), "layers of more pixels");
+        assert_eq!(renews(&|f| f.prepare(&gpu, &camera).map(drop)), [false; 2]);
+        assert_eq!(renews(&|f| f.lengthen_lists(&gpu, [pairs, triangles])), [false; 2]);
+        assert_eq!(renews(&|f| f.lengthen_lists(&gpu, [pairs + 1, 0])), [true, false]);
+        assert_eq!(renews(&|f| f.lengthen_lists(&gpu, [0, triangles + 1])), [false, true]);
+        assert_eq!(renews(&|f| f.empty_lists(&gpu)), [true, false]);
+        let splats = || SplatBuffers::new(&gpu, 9, sh_degree);
+        assert_eq!(renews(&|f| f.replace_splats(&gpu, splats()?, 0).map(drop)), [true, false]);
+        assert_eq!(renews(&|f| f.prepare(&gpu, &larger).map(drop)), [true; 2], "layers of more pixels");
     }
 }

@@ -138,6 +138,11 @@ fn longer_lists_take_what_they_hold() {
     assert_eq!(longer, 480_000, "half as many again as the picture needs");
     let (found, stated) = (gpu.peak_bytes() as f64, with_pairs(before, longer) + twice);
     assert!((0.99..1.01).contains(&(found / stated)), "{found} bytes, not {stated}");
+    // A longer list of triangles takes nothing but itself.
+    let (held, triangles) = (gpu.peak_bytes(), training.list_lengths()[1]);
+    training.lengthen_lists([0, 2 * triangles]).unwrap();
+    let more = gpu.peak_bytes() - held;
+    assert!(more <= 2 * 4 * triangles as u64, "{more} bytes for {triangles} pairs as many again");
     drop(training);
     scene.splats = narrow;
 

@@ -117,8 +117,11 @@ pub(crate) struct Training<'g> {
     exposures: Option<Exposures>,
     poses: Option<Poses>,
     timer: Option<Timer>,
-    /// [`Front::generation`] that everything here is bound to.
+    /// [`Front::generation`] that all above is bound to. `loss` and `exposures` bind buffers that are never replaced,
+    /// and are bound anew by [`Self::bind_loss`].
     bound_to: u64,
+    /// [`Front::triangle_list_generation`] that `list_check` is bound to.
+    checks: u64,
 }
 
 impl<'g> Training<'g> {
@@ -162,6 +165,7 @@ impl<'g> Training<'g> {
         Ok(Self {
             gpu,
             bound_to: pipeline.front.generation(),
+            checks: pipeline.front.triangle_list_generation(),
             pipeline,
             backward,
             photographs,
@@ -585,12 +589,16 @@ impl<'g> Training<'g> {
     /// Binds all users of the pipeline's buffers to the present ones, if any was replaced, so that those of before are
     /// freed; moments of another capacity start at zero.
     fn refresh(&mut self) -> Result<(), GpuError> {
-        let generation = self.pipeline.front.generation();
+        let front = &self.pipeline.front;
+        let (generation, triangles) = (front.generation(), front.triangle_list_generation());
+        if self.bound_to != generation || self.checks != triangles {
+            self.list_check = new_list_check(self.gpu, &self.pipeline, &self.backward.status);
+            self.checks = triangles;
+        }
         if self.bound_to == generation {
             return Ok(());
         }
         self.backward.renew(self.gpu, &self.pipeline)?;
-        self.list_check = new_list_check(self.gpu, &self.pipeline, &self.backward.status);
         if let Some(poses) = &mut self.poses {
             poses.bind(self.gpu, &self.pipeline, &self.backward);
         }

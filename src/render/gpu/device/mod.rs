@@ -175,6 +175,7 @@ impl Gpu {
     /// The same adapter, treated as a GPU: uniforms, cooperating threads, memory that is not the host's.
     #[cfg(test)]
     pub(crate) fn posing_as_gpu(mut self) -> Self {
+        self.kernels = Mutex::default();
         self.profile.is_cpu = false;
         self.is_unified = false;
         self
@@ -183,6 +184,7 @@ impl Gpu {
     /// The same adapter, with what there is for software adapters: storage for uniforms, few threads, loops that end, memory that is the host's.
     #[cfg(test)]
     pub(crate) fn posing_as_cpu(mut self) -> Self {
+        self.kernels = Mutex::default();
         self.profile.is_cpu = true;
         self.is_unified = true;
         self
