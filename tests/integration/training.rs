@@ -400,7 +400,8 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
     // A file left by an earlier run is named.
     std::fs::write(folder.path().join("scene.glb"), "of an earlier run").unwrap();
     let mut command = common::centaur(folder.path());
-    let stopped = command.args(arguments).args(["--resume", "--stop-at-eof"]).stdin(Stdio::null()).output().unwrap();
+    let stopped = command.args(arguments).args(endless).args(["--resume", "--stop-at-eof"]);
+    let stopped = stopped.stdin(Stdio::null()).output().unwrap();
     let outcome: serde_json::Value = serde_json::from_slice(&stopped.stdout).unwrap();
     let notes = outcome["notes"].to_string();
     assert_eq!(stopped.status.code(), Some(130));
@@ -409,16 +410,16 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
 
     // A run that completes, which is asked to stop at its start.
     std::fs::remove_file(folder.path().join("scene.glb.checkpoint")).unwrap();
-    let run = |more: &str| -> serde_json::Value {
+    let run = |more: &str, code: i32| -> serde_json::Value {
         let mut command = common::centaur(folder.path());
         command.args(arguments).args(["--iterations", "400", more]);
         let output = command.stdin(Stdio::null()).output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{}", common::stderr(&output));
+        assert_eq!(output.status.code(), Some(code), "{}", common::stderr(&output));
         serde_json::from_slice(&output.stdout).unwrap()
     };
-    assert_eq!(run("--stop-at-eof")["outcome"], "interrupted");
+    assert_eq!(run("--stop-at-eof", 130)["outcome"], "interrupted");
     assert_eq!(files(), ["scene.glb.checkpoint"]);
-    let outcome = run("--resume");
+    let outcome = run("--resume", 0);
     assert_eq!(outcome["outcome"], "finished");
     assert_eq!(files(), ["scene.glb"]);
     assert_eq!(outcome["settings"]["max_floats"], 59_000);

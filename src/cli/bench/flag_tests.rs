@@ -15,6 +15,7 @@ fn asked(flags: &str) -> Options {
         ("jobs", format!("{:?}", args.jobs)),
         ("shard", format!("{:?}", args.shard)),
         ("shares_machine", format!("{:?}", args.shares_machine())),
+        ("wait", format!("{:?}", args.wait)),
         ("only", format!("{:?}", args.only)),
         ("list", format!("{:?}", args.list)),
         ("table", format!("{:?}", args.table)),
@@ -27,7 +28,7 @@ fn asked(flags: &str) -> Options {
 
 #[test]
 fn every_flag_sets_the_option_that_it_is_for_and_no_other() {
-    let rows: [Row; 13] = [
+    let rows: [Row; 14] = [
         ("--scenes room,garden", &[("scenes", "[\"room\", \"garden\"]")]),
         ("--variant a=--no-mesh", &[("variants", "[Variant { name: \"a\", flags: [\"--no-mesh\"] }]")]),
         ("--seeds 3,4", &[("seeds", "[3, 4]")]),
@@ -35,6 +36,7 @@ fn every_flag_sets_the_option_that_it_is_for_and_no_other() {
         ("--jobs 3", &[("jobs", "3")]),
         ("--shard 1/4", &[("shard", "Some(Shard { index: 1, of: 4 })"), ("shares_machine", "true")]),
         ("--beside-others", &[("shares_machine", "true")]),
+        ("--wait 60", &[("wait", "60")]),
         ("--only a/room-3", &[("only", "[\"a/room-3\"]")]),
         ("--list", &[("list", "true")]),
         ("--table", &[("table", "true")]),

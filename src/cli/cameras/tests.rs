@@ -66,7 +66,7 @@ const AROUND: &[Row] = &[
 
 const SPLINE: &[Row] = &[("--keys 3", &[("keys", "Some(3)")]), ("--closed", &[("closed", "true")])];
 
-const SAMPLING: &[Row] = &[("--camera a", &[("only", "Some(\"a\")")]), ("--fps 12.5", &[("fps", "Some(12.5)")])];
+const SAMPLING: &[Row] = &[("--camera a", &[("only", "[\"a\"]")]), ("--fps 12.5", &[("fps", "Some(12.5)")])];
 
 #[test]
 fn every_flag_sets_the_option_that_it_is_for_and_no_other() {
