@@ -10,7 +10,8 @@ Prints where the licences are, asks for the sizes of all archives, and stops if 
 download is resumed, and a dropped one is retried three times. Published checksums are compared; otherwise the first
 complete download is recorded in archives/SHA256SUMS (readable by `sha256sum -c`) if all files in it are intact, and
 later ones must match. Each complete scene has a list of its files, .fetched.json: archives of such scenes can be
-deleted, and are not downloaded again.
+deleted, and are not downloaded again. Neither are scenes that earlier versions, which made no such lists, unpacked and
+entered in scenes.json: a note names them.
 Mip-NeRF 360 is complete for both protocols of `centaur bench`: full pictures (b) and images_2, images_4, images_8 (a).
 scenes.json lists the scenes' folders and training flags, for `centaur bench` on the whole folder or on its --scenes.
 """
@@ -445,6 +446,23 @@ def is_fetched(scene, folder):
         return False
 
 
+def listed(folder):
+    """Folders of the scenes in the scenes.json of an earlier run."""
+    try:
+        return {scene["capture"] for scene in json.loads((folder / "scenes.json").read_text())["scenes"].values()}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):  # none, or one of another program
+        return set()
+
+
+def is_unverified(scene, folder):
+    """Whether a scene was unpacked by a version of this program that made no lists of files: it may lack some."""
+    return not (folder / scene / MARKER).exists() and scene in listed(folder) and is_captured(folder / scene)
+
+
+def is_there(scene, folder):
+    return is_fetched(scene, folder) or is_unverified(scene, folder)
+
+
 def chosen(collection, names):
     """Folders of the scenes with these names or folder names, plus those always fetched; all if no names are given. An
     error lists the existing names."""
@@ -471,7 +489,7 @@ def list_scenes(collection, folder):
     """Writes folder/scenes.json, with which `centaur bench` finds scenes and their training flags."""
     names, scenes = scene_names(collection), {}
     for scene, flags in collection.scenes.items():
-        if is_fetched(scene, folder):
+        if is_there(scene, folder):
             # If a flag of `centaur bench` selects the pictures, they are not selected here.
             scenes[names[scene]] = {"capture": scene, "flags": [] if collection.bench else flags.split()}
     part = folder / "scenes.json.part"
@@ -501,7 +519,7 @@ def fetch(name, folder, mirror=None, names=None):
             file = url.rsplit("/", 1)[1]
             of_archive = collection.scenes_in.get(file, set(scenes)) & set(scenes)
             # An existing archive is checked again, which needs no download.
-            if any((archives / file).exists() or not is_fetched(scene, scenes_folder) for scene in of_archive):
+            if any((archives / file).exists() or not is_there(scene, scenes_folder) for scene in of_archive):
                 urls[archives / file] = url if mirror is None else f"{mirror.rstrip('/')}/{file}"
         get(collection, scenes, urls, scenes_folder)
     say_commands(name, scenes, scenes_folder)
@@ -538,7 +556,7 @@ def say_commands(name, scenes, scenes_folder):
     """Prints how to train the existing scenes, and lists them for `centaur bench`."""
     collection = CAPTURES[name]
     short = scene_names(collection)
-    found = [s for s in scenes if is_fetched(s, scenes_folder)]
+    found = [s for s in scenes if is_there(s, scenes_folder)]
     for scene in found:
         flags = f" {collection.scenes[scene]}" if collection.scenes[scene] else ""
         print(f"centaur train {shlex.quote(str(scenes_folder / scene))}{flags} -o {short[scene]}.glb")
@@ -551,6 +569,9 @@ def say_commands(name, scenes, scenes_folder):
                 print(f"{bench} --scenes {','.join(of)} -o out/{table}")
     if collection.remark:
         print(f"Note: {collection.remark}.")
+    if unverified := [s for s in collection.scenes if is_unverified(s, scenes_folder)]:
+        advice = f"to download and compare them, delete {scenes_folder / 'scenes.json'} and run again"
+        print(f"Note: not verified, because an earlier version of this program unpacked them: {', '.join(unverified)}; {advice}.")
     if len(found) < len(scenes):
         missing = ", ".join(s for s in scenes if s not in found)
         raise FetchError(f"{scenes_folder}: expected a capture in each of {len(scenes)} folders, found none in {missing}: archives are laid out otherwise")

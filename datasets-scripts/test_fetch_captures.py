@@ -285,6 +285,23 @@ class Fetch(unittest.TestCase):
         self.fetch()
         self.assertEqual(len(Server.requests), 1, "what is not, is")
 
+    def test_scenes_of_an_earlier_version_stay_and_are_named(self):
+        self.assertNotIn("not verified", self.fetch())
+        (self.folder / "archives/tandt_db.zip").unlink()
+        for scene in ("tandt/truck", "db/playroom"):
+            (self.folder / "tandt_db" / scene / fetch_captures.MARKER).unlink()
+        Server.requests, before = [], (self.folder / "tandt_db/scenes.json").read_text()
+        note = "Note: not verified, because an earlier version of this program unpacked them: tandt/truck, db/playroom; "
+        self.assertIn(note, self.fetch())
+        # Also where they are not chosen.
+        self.assertIn(note, self.fetch(scenes=["train"]))
+        self.assertEqual((Server.requests, (self.folder / "tandt_db/scenes.json").read_text()), ([], before))
+        for text in ("", "[]", '{"scenes": {"truck": 1}}', '{"scenes": {"truck": {"capture": []}}}'):
+            (self.folder / "tandt_db/scenes.json").write_text(text)
+            self.assertFalse(fetch_captures.is_there("tandt/truck", self.folder / "tandt_db"), text)
+        self.assertNotIn("not verified", self.fetch())
+        self.assertEqual((len(Server.requests), (self.folder / "tandt_db/scenes.json").read_text()), (1, before))
+
     def test_part_longer_than_the_file(self):
         (self.folder / "archives").mkdir()
         (self.folder / "archives/tandt_db.zip.part").write_bytes(bytes(len(Server.content) + 9))
@@ -329,6 +346,7 @@ class Fetch(unittest.TestCase):
         self.fetch()
         (self.folder / "archives/tandt_db.zip").unlink()
         (self.folder / "tandt_db/tandt/truck" / fetch_captures.MARKER).unlink()
+        (self.folder / "tandt_db/scenes.json").unlink()
         Server.content = archive(SCENE[:1])
         self.refused("SHA-256.*SHA256SUMS says .*; delete it and run again")
 
@@ -367,7 +385,8 @@ class Fetch(unittest.TestCase):
 
     def test_a_damaged_archive_is_not_recorded_beside_files_of_its_size(self):
         self.fetch()
-        for name in ("archives/tandt_db.zip", "archives/SHA256SUMS", f"tandt_db/tandt/truck/{fetch_captures.MARKER}"):
+        marker = f"tandt_db/tandt/truck/{fetch_captures.MARKER}"
+        for name in ("archives/tandt_db.zip", "archives/SHA256SUMS", marker, "tandt_db/scenes.json"):
             (self.folder / name).unlink()
         Server.content = self.damaged()
         self.refused("Bad CRC-32.*; delete it and run again")

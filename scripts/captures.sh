@@ -11,7 +11,7 @@ data=${CENTAUR_DATA:-}
 out=${CAPTURES_OUT:-out/captures}
 mkdir -p "$out"
 . scripts/one-program.sh "${CAPTURES_CENTAUR:-}"
-# A stopped training exits normally, so the shell would only end that command.
+# A training that is done just as Ctrl-C stops it exits normally, so the shell would only end that command.
 trap 'exit 130' INT
 
 compare() { # name, capture, floats, iterations, flags for the capture
@@ -28,11 +28,12 @@ compare() { # name, capture, floats, iterations, flags for the capture
             [ ! -f "$run.glb.checkpoint" ] || flags+=(--resume)
             if ! grep -qs '"outcome":"finished"' "$run.json"; then
                 centaur train "$capture" -o "$run.glb" --report "$run" --json --quiet \
-                    --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$run.part"
-                if ! grep -q '"outcome":"finished"' "$run.part"; then
-                    echo "$name: stopped; the same command goes on" >&2
-                    exit 1
-                fi
+                    --iterations "$iterations" --max-floats "$floats" --seed "$seed" "$@" "${flags[@]}" >"$run.part" || {
+                    local code=$?
+                    # Stopped by a signal; other failures say what they are.
+                    [ $code -lt 128 ] || echo "$name: stopped; the same command goes on" >&2
+                    exit $code
+                }
                 mv "$run.part" "$run.json"
             fi
             python3 - "$run.json" "$name" "$kind" "$seed" <<'PYTHON'

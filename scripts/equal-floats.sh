@@ -19,7 +19,7 @@ read -ra flags <<<"${EQUAL_FLOATS_FLAGS:---max-side 534 --iterations 800 --surfa
 mkdir -p $scenes "$out"
 . scripts/link-captures.sh
 
-# A stopped bench ends in its own way, so the shell would only end that command.
+# A bench that Ctrl-C stops ends in its own way, so the shell would only end that command.
 trap 'exit 130' INT
 failed=0
 for budget in "${budgets[@]}"; do
@@ -27,7 +27,12 @@ for budget in "${budgets[@]}"; do
     centaur bench $scenes -o "$out/$budget" "$@" \
         --variant hybrid="--layers 1 --triangles 6000 --texture-size 512 --band-degree 0" \
         --variant splats=--no-mesh \
-        -- "${flags[@]}" --antialias --density mcmc --masks --max-floats "$budget" || failed=1
+        -- "${flags[@]}" --antialias --density mcmc --masks --max-floats "$budget" || {
+        code=$?
+        # Stopped by a signal.
+        [ $code -lt 128 ] || exit $code
+        failed=1
+    }
 done
 # All budgets that exist, including those of earlier runs.
 python3 scripts/equal_floats_table.py "$out"/*/ | tee "$out/table.md"

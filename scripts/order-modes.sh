@@ -15,7 +15,7 @@ read -ra flags <<<"${ORDER_MODES_FLAGS:---max-side 176 --iterations 800 --warmup
 mkdir -p $scenes "$out"
 . scripts/link-captures.sh
 
-# A stopped bench ends in its own way, so the shell would only end that command.
+# A bench that Ctrl-C stops ends in its own way, so the shell would only end that command.
 trap 'exit 130' INT
 failed=0
 for scene in demo garden street room; do
@@ -34,7 +34,12 @@ for scene in demo garden street room; do
         --variant stable="--mode stable" \
         --variant surface-consistent="--mode surface-consistent" \
         --variant direct="--mode direct" \
-        -- "${flags[@]}" --mesh "$truth" --layers 1 --antialias --density mcmc || failed=1
+        -- "${flags[@]}" --mesh "$truth" --layers 1 --antialias --density mcmc || {
+        code=$?
+        # Stopped by a signal.
+        [ $code -lt 128 ] || exit $code
+        failed=1
+    }
 done
 python3 scripts/order_modes_table.py "$out" | tee "$out/table.md"
 exit $failed

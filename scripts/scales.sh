@@ -10,7 +10,7 @@ floats=${SCALES_FLOATS:-1475000}
 iterations=${SCALES_ITERATIONS:-1000}
 out=${SCALES_OUT:-out/scales}/$floats-$iterations
 . scripts/one-program.sh "${SCALES_CENTAUR:-}"
-# A stopped training exits normally, so the shell would only end that command.
+# A training that is done just as Ctrl-C stops it exits normally, so the shell would only end that command.
 trap 'exit 130' INT
 
 hybrid=(--surface-iterations $((iterations * 6 / 10)) --warmup $((iterations * 6 / 10)) --layers 1 --triangles 6000 --texture-size 512)
@@ -29,11 +29,12 @@ for name in "$@"; do
             [ $kind = splats ] || flags=("${hybrid[@]}")
             [ $filters = none ] || flags+=(--antialias)
             [ ! -f "$scene.glb.checkpoint" ] || flags+=(--resume)
-            [ -f "$scene.glb" ] || centaur train "$capture" -o "$scene.glb" --downscale 4 --iterations "$iterations" --max-floats "$floats" "${flags[@]}"
-            if [ ! -f "$scene.glb" ]; then
-                echo "$name: stopped; the same command goes on" >&2
-                exit 1
-            fi
+            [ -f "$scene.glb" ] || centaur train "$capture" -o "$scene.glb" --downscale 4 --iterations "$iterations" --max-floats "$floats" "${flags[@]}" || {
+                code=$?
+                # Stopped by a signal; other failures say what they are.
+                [ $code -lt 128 ] || echo "$name: stopped; the same command goes on" >&2
+                exit $code
+            }
             for size in 8 4 2 1; do
                 [ ! -f "$scene-$size.json" ] || continue
                 # Written completely or not at all.

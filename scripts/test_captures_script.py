@@ -13,7 +13,7 @@ echo "$*" >>log
 n=$(wc -l <log)
 while [ "$1" != -o ]; do shift; done
 case $n in
-1) : >"$2.checkpoint"; echo '{"outcome":"interrupted"}'; exit ;;
+1) : >"$2.checkpoint"; echo '{"outcome":"interrupted"}'; exit 143 ;;
 3) : >"$2.checkpoint"; echo '{"outcome":'; exit 1 ;;
 esac
 rm -f "$2.checkpoint"
@@ -33,8 +33,8 @@ class Captures(unittest.TestCase):
             program.chmod(0o755)
             env = {**os.environ, "CAPTURES_CENTAUR": str(program), "CAPTURES_OUT": str(out), "CENTAUR_DATA": "/none"}
             runs = [subprocess.run([SCRIPT, "7"], env=env, capture_output=True, text=True) for _ in range(4)]
-            self.assertEqual([run.returncode for run in runs], [1, 1, 0, 0])
-            self.assertEqual(runs[0].stderr, "demo: stopped; the same command goes on\n")
+            self.assertEqual([run.returncode for run in runs], [143, 1, 0, 0])
+            self.assertEqual([run.stderr for run in runs], ["demo: stopped; the same command goes on\n", "", "", ""])
             self.assertEqual(runs[3].stdout, runs[2].stdout)
             self.assertEqual(runs[2].stdout.count("20.00 dB"), 2)
             commands = Path(folder, "log").read_text().splitlines()

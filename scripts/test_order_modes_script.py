@@ -41,6 +41,28 @@ class OrderModes(unittest.TestCase):
             expected = f"error: {out}/demo: its results are of another surface than scripts make now: delete it and {truth}\n"
             self.assertEqual((code, said, truth.read_text()), (1, expected, "two"))
 
+    def test_a_stopped_bench_stops_its_script_and_a_failed_one_does_not(self):
+        for script, variable, most in (("order-modes.sh", "ORDER_MODES", 1), ("equal-floats.sh", "EQUAL_FLOATS", 2)):
+            for code, benches in ((143, 1), (1, most)):
+                with self.subTest(script=script, code=code), tempfile.TemporaryDirectory() as folder:
+                    # Where Python is called for a surface, that is its third argument.
+                    table = f"{folder}/table"
+                    for name, line in [
+                        ("centaur", f"echo bench >>{folder}/log; exit {code}"),
+                        ("python3", f'case $1 in *table.py) : >{table} ;; *) : >"$3" ;; esac'),
+                    ]:
+                        program = Path(folder, name)
+                        program.write_text(f"#!/bin/sh\n{line}\n")
+                        program.chmod(0o755)
+                    env = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "CENTAUR_DATA": "/none", "EQUAL_FLOATS_BUDGETS": "1 2"}
+                    env |= {f"{variable}_OUT": f"{folder}/out", f"{variable}_CENTAUR": f"{folder}/centaur"}
+                    env |= {"ORDER_MODES_PYTHON": f"{folder}/python3"}
+                    done = subprocess.run([SCRIPT.with_name(script)], env=env, capture_output=True, text=True)
+                    self.assertEqual((done.returncode, done.stderr, Path(table).exists()), (code, "", code == 1))
+                    # Other scenes may have been made here.
+                    count = Path(folder, "log").read_text().count("bench")
+                    self.assertTrue(count == benches or code == 1 and count >= benches, count)
+
 
 if __name__ == "__main__":
     unittest.main()

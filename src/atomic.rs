@@ -132,7 +132,7 @@ pub fn folder_of(file: &Path) -> &Path {
 /// Where a file of this name comes to be: where it leads, if it is a symbolic link, be there a file or not.
 ///
 /// # Errors
-/// If it is a folder, a device or a pipe, or a link that leads nowhere.
+/// If it is a folder, a device or a pipe, or one of links that lead to one another.
 pub fn place_of(output: &Path) -> io::Result<PathBuf> {
     if output.is_dir() {
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder of this name exists"));

@@ -258,7 +258,7 @@ impl FileArgs {
             Ok(scene) => scene,
             Err(fault) => return Err(if is_scene { fault.into() } else { error }),
         };
-        let (mut views, _) = shared::cameras_around(&self.source, &scene, &Sampling::default())?;
+        let mut views = shared::cameras_around(&self.source, &scene, &Sampling::default())?;
         views.notes.push(format!("has no cameras: the path is made from {} around the scene", shared::PLACES));
         Ok(views)
     }
@@ -307,7 +307,7 @@ impl FileArgs {
         } else {
             write_cameras(&self.output, &file)?
         };
-        let CameraFile { cameras, fps, times, mut notes, y_up } = file;
+        let CameraFile { cameras, fps, times, mut notes, y_up, .. } = file;
         if self.is_gltf() && cameras.iter().any(|(_, camera)| camera.intrinsics() != cameras[0].1.intrinsics()) {
             notes.push(
                 "intrinsics differ between frames, which glTF cannot animate: every frame has a camera of its own"

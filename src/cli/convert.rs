@@ -313,7 +313,7 @@ fn replaced(args: &Args, Files { inputs, output, .. }: Files<'_>) -> Option<Stri
     is_lost.then(|| "existed before and is replaced: the last file is the one to write".to_owned())
 }
 
-/// How many times as large as what it was made of a glTF is that is noted: where pictures of a few kilobytes have become maps.
+/// How many times as large as what it was made of a glTF is that is noted: where pictures of a few kilobytes have become maps, or splats were compressed.
 const LARGER: u64 = 10;
 
 /// Says why a glTF that is written anew is so much larger than it was.
@@ -325,7 +325,7 @@ fn larger(Files { inputs, format, .. }: Files<'_>, edited: &Edited, bytes: u64) 
     let before: u64 = inputs.iter().filter_map(|input| format::stored_bytes(input).ok()).sum();
     (bytes >= LARGER * before.max(1)).then(|| {
         format!(
-            "is {} times as large as its source: compressed images have become maps of floats",
+            "is {} times as large as its source: images and splats that are compressed there are stored as floats",
             bytes / before.max(1)
         )
     })

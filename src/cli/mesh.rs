@@ -95,13 +95,14 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     output::check_file(&args.output)?;
     output::spare(&args.output, [&args.splats, &args.mesh, &args.truth].into_iter().flatten().map(PathBuf::as_path))?;
-    let truth = args.truth.as_deref().map(|file| read(file).map(|surface| (file, surface))).transpose()?;
+    let mut notes = vec![];
+    let truth = args.truth.as_deref().map(|file| read(file, &mut notes).map(|surface| (file, surface))).transpose()?;
     // With a given mesh, points are needed only to select the nearby part of the ground truth.
     let capture = args.loading.open(&args.capture, args.mesh.is_some() && args.truth.is_none())?;
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
-    let mut notes = Vec::from_iter(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
+    notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
     let made = match (&args.mesh, &args.splats) {
-        (Some(file), _) => from_mesh(file, args)?,
+        (Some(file), _) => from_mesh(file, args, &mut notes)?,
         (None, Some(splats)) => from_splats(splats, &capture, args, &mut notes)?,
         (None, None) => from_points(&capture, args, &mut notes)?,
     };
@@ -227,15 +228,16 @@ impl Made {
 }
 
 /// Reads a mesh. Its UVs are dropped and made anew.
-fn read(file: &Path) -> Result<Surface> {
+fn read(file: &Path, notes: &mut Vec<String>) -> Result<Surface> {
     let read = mesh_import::read(file)?;
+    notes.extend(shared::as_stored(read.y_up).map(|note| format!("{}: {note}", file.display())));
     Ok(Surface { positions: read.positions, triangles: read.triangles })
 }
 
-fn from_mesh(file: &Path, args: &Args) -> Result<Made> {
+fn from_mesh(file: &Path, args: &Args, notes: &mut Vec<String>) -> Result<Made> {
     let tidying =
         Tidying { triangles: args.triangles, drops_crumbs: args.crumbs.is_auto(), closes_holes: args.holes.is_auto() };
-    let (surface, steps) = geometry::tidy(read(file)?, tidying)
+    let (surface, steps) = geometry::tidy(read(file, notes)?, tidying)
         .with_context(|| format!("{}: expected a mesh to make a surface of", file.display()))?;
     Ok(Made { surface, steps, origin: SurfaceOrigin::Given })
 }

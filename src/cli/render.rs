@@ -1,7 +1,7 @@
 mod write;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::format::gltf::Source;
@@ -15,7 +15,8 @@ use super::interrupt;
 use super::output;
 use super::progress::Views;
 use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, MessageArgs, PictureArgs, SamplingArgs};
-use super::{usage, video};
+use super::usage;
+use super::video::{self, Film};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -218,13 +219,9 @@ impl Args {
         if self.is_embedded() { &self.scene } else { &self.cameras }
     }
 
-    /// Cameras around a scene that has none. Where nothing says what is too near to be shown, that is little beside the scene.
-    fn around(&self, file: &mut SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
-        let (mut shot, radius) = self.loading.cameras_around(&self.scene, file, sampling)?;
-        let near = &mut file.scene.composition.near;
-        if !file.states_composition {
-            *near = near.min(0.1 * radius as f32).max(f32::MIN_POSITIVE);
-        }
+    /// Cameras around a scene that has none.
+    fn around(&self, file: &SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        let mut shot = self.loading.cameras_around(&self.scene, file, sampling)?;
         shot.notes.push(format!(
             "has no cameras: rendered from {} around it; --cameras takes cameras of another file, `centaur cameras orbit` makes a path",
             output::counted(shot.cameras.len(), "place")
@@ -293,21 +290,26 @@ pub(super) fn run(args: &Args) -> Result<()> {
         file.scene.composition.background = background.color();
     }
     let shot = args.shot(&mut file)?;
+    shared::fit_near(&mut file, &shot.cameras);
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &shot.cameras))?;
     let gpu = args.adapter.open()?;
     let pictures = args.pictures(&shot);
     shared::spare_photographs(&pictures, args.source(), &args.loading.options())?;
     let _folder = output::Folder::make(&args.output)?;
-    let drawn = draw(&gpu, &file, &shot, &pictures, args)?;
-    if drawn < pictures.len() {
-        return report_interruption(&pictures[..drawn], pictures.len(), args);
-    }
-    let fps = shot.fps.unwrap_or(DEFAULT_FPS);
-    let aspect = shot.cameras.first().map_or(1.0, |(_, camera)| video::aspect(camera));
-    args.video.as_deref().map_or(Ok(()), |path| video::write(path, &pictures, fps, aspect))?;
     // Notes on the scene; for cameras in the same file, both have the same notes.
     let is_said = |note: &&String| args.is_embedded() && shot.notes.contains(note);
     let notes: Vec<&String> = file.notes.iter().filter(|note| !is_said(note)).collect();
+    let stop = interrupt::stop_flag();
+    let drawn = draw(&gpu, &file, &shot, &pictures, args, &stop)?;
+    if drawn < pictures.len() {
+        return report_interruption(&pictures[..drawn], pictures.len(), &notes, &shot, args);
+    }
+    let fps = shot.fps.unwrap_or(DEFAULT_FPS);
+    let aspect = shot.cameras.first().map_or(1.0, |(_, camera)| video::aspect(camera));
+    let film = args.video.as_deref().map(|path| video::write(path, &pictures, (fps, aspect), &stop)).transpose()?;
+    if film == Some(Film::Stopped) {
+        return report_interruption(&pictures, pictures.len(), &notes, &shot, args);
+    }
     if args.messages.json {
         print_json(&gpu, &pictures, &notes, &shot, args)
     } else {
@@ -322,8 +324,14 @@ fn moving(file: &SceneFile) -> Option<&Source> {
 
 /// Renders the scene from every camera of the shot, posed anew at each time; where nothing says when a picture is taken, it rests. How many
 /// pictures there are at the end: fewer than cameras if that was stopped.
-fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], args: &Args) -> Result<usize> {
-    let stop = interrupt::stop_flag();
+fn draw(
+    gpu: &Gpu,
+    file: &SceneFile,
+    shot: &CameraFile,
+    pictures: &[PathBuf],
+    args: &Args,
+    stop: &AtomicBool,
+) -> Result<usize> {
     let (moving, composition) = (moving(file), &file.scene.composition);
     let poses: Vec<Camera> = shot.cameras.iter().map(|(_, camera)| *camera).collect();
     let mut progress = Views::new(&args.messages, "rendering", poses.len());
@@ -357,15 +365,16 @@ fn draw(gpu: &Gpu, file: &SceneFile, shot: &CameraFile, pictures: &[PathBuf], ar
     Ok(pictures.len())
 }
 
-/// Of pictures that were not made the folder may have those of an earlier render.
-fn report_interruption(drawn: &[PathBuf], all: usize, args: &Args) -> Result<()> {
+/// Of pictures that were not made the folder may have those of an earlier render, and of a film there may be an earlier one.
+fn report_interruption(drawn: &[PathBuf], all: usize, notes: &[&String], shot: &CameraFile, args: &Args) -> Result<()> {
     interrupt::stopped(if args.messages.json {
-        output::print_json(&serde_json::json!({ "outcome": "interrupted", "pictures": drawn }))
+        let both: Vec<&String> = notes.iter().copied().chain(&shot.notes).collect();
+        output::print_json(&serde_json::json!({ "outcome": "interrupted", "pictures": drawn, "notes": both }))
     } else {
+        say(notes, shot, args);
         let (folder, count) = (args.output.display(), drawn.len());
-        output::print(&format!(
-            "stopped; {folder}: {count} of {all} pictures are new, others may be of an earlier render"
-        ))
+        let left = if count < all { "others may be of an earlier render" } else { "but no film was made of them" };
+        output::print(&format!("stopped; {folder}: {count} of {all} pictures are new, {left}"))
     })
 }
 
@@ -399,10 +408,15 @@ fn print(pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args
         let fps = shot.fps.unwrap_or(DEFAULT_FPS);
         lines.push(format!("{}: {:.1} s at {fps} frames a second", path.display(), pictures.len() as f64 / fps));
     }
-    notes.iter().for_each(|note| output::note(&format!("{}: {note}", args.scene.display())));
-    shot.notes.iter().for_each(|note| output::note(&format!("{}: {note}", args.source().display())));
+    say(notes, shot, args);
     leftover(pictures).iter().for_each(|note| output::note(&format!("{}: {note}", args.output.display())));
     output::print(&lines.join("\n"))
+}
+
+/// Prints notes on the scene and on its cameras.
+fn say(notes: &[&String], shot: &CameraFile, args: &Args) {
+    notes.iter().for_each(|note| output::note(&format!("{}: {note}", args.scene.display())));
+    shot.notes.iter().for_each(|note| output::note(&format!("{}: {note}", args.source().display())));
 }
 
 /// Times, in seconds, at which an animated scene is rendered.

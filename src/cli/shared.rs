@@ -113,14 +113,8 @@ impl PictureArgs {
     }
 
     /// As [`cameras_around`].
-    pub(super) fn cameras_around(
-        &self,
-        path: &Path,
-        file: &SceneFile,
-        sampling: &Sampling<'_>,
-    ) -> Result<(CameraFile, f64)> {
-        let (cameras, radius) = cameras_around(path, file, sampling)?;
-        Ok((resized(cameras, sampling, &self.options()), radius))
+    pub(super) fn cameras_around(&self, path: &Path, file: &SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
+        Ok(resized(cameras_around(path, file, sampling)?, sampling, &self.options()))
     }
 
     /// Cameras of a capture, a scene or a path, with or without photographs.
@@ -177,6 +171,14 @@ pub(super) fn turned(y_up: bool) -> Option<String> {
     })
 }
 
+/// What there is to say, beside a capture, of a mesh that `mesh_import` has left as it is stored.
+pub(super) fn as_stored(y_up: bool) -> Option<String> {
+    y_up.then(|| {
+        "is a glTF of another program, usually y up, and taken as it is stored: where that is not the frame of the capture (y down), `centaur convert --rotate 180,0,0` rotates it"
+            .to_owned()
+    })
+}
+
 /// Reads cameras of a capture (a folder or `.json`), or of a glTF or USD file.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadOptions) -> Result<CameraFile> {
     let is_json = format::has_extension(path, &["json"]);
@@ -196,21 +198,42 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
     retain_rows(&mut times, &wanted);
-    Ok(CameraFile { cameras, fps, y_up, times, notes: passed_over(&others) })
+    Ok(CameraFile { cameras, fps, y_up, times, near: None, notes: passed_over(&others) })
 }
 
 /// From how many places a scene without cameras is seen.
 pub(super) const PLACES: usize = 8;
 
-/// Cameras in a ring around what a scene shows that has none, in the frame of its file, and the radius of that.
-pub(super) fn cameras_around(path: &Path, file: &SceneFile, sampling: &Sampling<'_>) -> Result<(CameraFile, f64)> {
+/// Cameras in a ring around what a scene shows that has none, in the frame of its file.
+pub(super) fn cameras_around(path: &Path, file: &SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
     let named = || path.display().to_string();
-    let Overview { views, radius } = path::overview(&file.scene, PLACES).with_context(named)?;
+    let Overview { views, radius, .. } = path::overview(&file.scene, PLACES).with_context(named)?;
     let mut cameras: Vec<_> = views.into_iter().enumerate().map(|(i, view)| (format!("view_{i}"), view)).collect();
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
-    let cameras = CameraFile { cameras, fps: None, y_up: false, times: vec![], notes: vec![] };
-    Ok((cameras.in_frame(file.y_up), radius))
+    let near = Some(near_of(file, radius));
+    let cameras = CameraFile { cameras, fps: None, y_up: false, times: vec![], near, notes: vec![] };
+    Ok(cameras.in_frame(file.y_up))
+}
+
+/// Depth of the near plane of a scene without cameras: where nothing says what is too near to be shown, that is little
+/// beside what it shows, which has this radius.
+fn near_of(file: &SceneFile, radius: f64) -> f32 {
+    let near = file.scene.composition.near;
+    if file.states_composition { near } else { near.min(0.1 * radius as f32).max(f32::MIN_POSITIVE) }
+}
+
+/// Sets the near plane of a scene without cameras that is seen from outside of what it shows: the same as for views
+/// around it. From within, the default keeps out what floats before cameras, as in training and in scores.
+pub(super) fn fit_near(file: &mut SceneFile, cameras: &[(String, Camera)]) {
+    // A scene with nothing in it has no radius, and needs none.
+    if file.cameras.is_empty()
+        && !file.states_composition
+        && let Ok(Overview { focus, radius, .. }) = path::overview(&file.scene, 1)
+        && cameras.iter().all(|(_, camera)| camera.center().distance(focus) > radius)
+    {
+        file.scene.composition.near = near_of(file, radius);
+    }
 }
 
 /// Which of the cameras of `path` are asked for.

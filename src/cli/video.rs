@@ -3,9 +3,11 @@
 use std::fs::{self, File};
 use std::io::{self, Read as _, Seek as _, Write as _};
 use std::path::{Component, Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
 use centaur::format::pixel_aspect;
 use centaur::scene::Camera;
@@ -64,9 +66,20 @@ pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) 
     Ok(())
 }
 
-/// Encodes PNG files, in order, as an H.264 film with `fps` frames per second and pixels of this aspect ratio. Written
-/// atomically.
-pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) -> Result<()> {
+/// Whether a film was made.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Film {
+    Made,
+    /// Stopped before its end: nothing of it is left.
+    Stopped,
+}
+
+/// Encodes PNG files, in order, as an H.264 film with so many frames per second and pixels of this aspect ratio. Written
+/// atomically, unless `stop` is set before it is complete.
+pub(super) fn write(path: &Path, pictures: &[PathBuf], (fps, aspect): (f64, f32), stop: &AtomicBool) -> Result<Film> {
+    if stop.load(Ordering::Relaxed) {
+        return Ok(Film::Stopped);
+    }
     let named = || format!("{}: cannot write", path.display());
     let place = atomic::place_of(path).with_context(named)?;
     let staging = Staging::within(folder_of(&place)).with_context(named)?;
@@ -80,13 +93,18 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) ->
         .stderr(messages.try_clone().with_context(named)?)
         .spawn();
     let mut child = spawned.context("ffmpeg")?;
-    let mut stdin = child.stdin.take().context("ffmpeg has no input")?;
-    let fed = pictures
-        .iter()
-        .try_for_each(|picture| -> io::Result<()> { io::copy(&mut File::open(picture)?, &mut stdin).map(drop) });
-    let fed = fed.and_then(|()| stdin.flush());
-    drop(stdin);
-    let status = child.wait().context("ffmpeg")?;
+    let stdin = child.stdin.take().context("ffmpeg has no input")?;
+    // By a thread of its own, which waits wherever ffmpeg is slower, and ends with it.
+    let (ended, fed) = std::thread::scope(|scope| {
+        let feeder = scope.spawn(|| feed(pictures, stdin, stop));
+        let ended = end_of(&mut child, stop);
+        (ended, feeder.join())
+    });
+    // Ctrl-C in a terminal ends ffmpeg, too.
+    let Some(status) = ended.context("ffmpeg")?.filter(|_| !stop.load(Ordering::Relaxed)) else {
+        return Ok(Film::Stopped);
+    };
+    let fed = fed.map_err(|_| anyhow!("{}: not made: its pictures cannot be read", path.display()))?;
     if !status.success() {
         // ffmpeg stops reading when it fails, and states why.
         let mut said = String::new();
@@ -98,7 +116,35 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], fps: f64, aspect: f32) ->
     fed.with_context(|| format!("{}: not made: ffmpeg stopped reading", path.display()))?;
     let length = film.metadata().map_or(0, |made| made.len());
     ensure!(length > 0, "{}: not made: ffmpeg wrote nothing", path.display());
-    fs::rename(&film, place).with_context(named)
+    fs::rename(&film, place).with_context(named)?;
+    Ok(Film::Made)
+}
+
+/// Writes files to a pipe, and closes it.
+fn feed(pictures: &[PathBuf], mut pipe: ChildStdin, stop: &AtomicBool) -> io::Result<()> {
+    for picture in pictures {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        io::copy(&mut File::open(picture)?, &mut pipe)?;
+    }
+    pipe.flush()
+}
+
+/// How often a process is asked whether it has ended.
+const POLL: Duration = Duration::from_millis(20);
+
+/// Waits for the end of a process, or ends it once `stop` is set: `None`.
+fn end_of(child: &mut Child, stop: &AtomicBool) -> io::Result<Option<ExitStatus>> {
+    while !stop.load(Ordering::Relaxed) {
+        if let Some(status) = child.try_wait()? {
+            return Ok(Some(status));
+        }
+        std::thread::sleep(POLL);
+    }
+    child.kill()?;
+    child.wait()?;
+    Ok(None)
 }
 
 /// Arguments of ffmpeg except the output. 4:2:0 requires even sides, obtained by a black row or column; colours are

@@ -45,11 +45,12 @@ pub enum FormatError {
 }
 
 /// What is expected of a file, and what of what it holds, where it is a scene without cameras. See [`FormatError::is_lack_of_cameras`].
-pub(super) const NO_CAMERAS: [&str; 3] =
-    ["a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json", "cameras", "a camera"];
+pub(super) const NO_CAMERAS: [&str; 2] =
+    ["a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json", "cameras"];
 
 impl FormatError {
-    /// Whether nothing else is wrong with a file whose cameras were to be read than that it holds none, or none that are pinholes.
+    /// Whether nothing else is wrong with a file whose cameras were to be read than that it holds none. Cameras that cannot
+    /// be read are another error, which gives the reason.
     #[must_use]
     pub fn is_lack_of_cameras(&self) -> bool {
         matches!(self, Self::Content { expected, .. } if NO_CAMERAS.contains(&expected.as_str()))

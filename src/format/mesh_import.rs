@@ -12,7 +12,7 @@ use glam::{DVec2, Vec2, Vec3};
 use super::error::{Fault, FormatError, Location, open_file, read_file, unknown};
 use super::gltf::instancing::{BYTES_OF_COPY, Single, copies};
 use super::gltf::triangles::{self, Triangles};
-use super::gltf::{Asset, Motion, Poses, not_placed, placements};
+use super::gltf::{Asset, Motion, Poses, is_ours, not_placed, placements};
 use super::ply::{is_of_splats, table};
 use super::{has_extension, polygon};
 
@@ -28,6 +28,8 @@ pub struct ImportedMesh {
     /// repeats of a tile get texels of their own. `None` if part of the mesh has no finite UVs, or if they belong to
     /// several materials and so do not form one atlas.
     pub corner_uvs: Option<Vec<[Vec2; 3]>>,
+    /// Whether the file is a glTF of another program, which are y up. Positions are as stored all the same.
+    pub y_up: bool,
     /// Notes on content of the file that is missing or changed, mainly UVs, one sentence each.
     pub notes: Vec<String>,
 }
@@ -70,6 +72,8 @@ struct Soup {
     unusable: Vec<(u32, Location)>,
     /// Place in the file where triangles were expected.
     faces: Option<Location>,
+    /// As in [`ImportedMesh`].
+    y_up: bool,
     /// Notes on the triangles.
     notes: Vec<String>,
 }
@@ -135,6 +139,7 @@ impl Soup {
             positions: vec![],
             triangles: vec![],
             corner_uvs: uvs.as_ref().map(|_| vec![]),
+            y_up: self.y_up,
             notes: self.notes.into_iter().chain(note).collect(),
         };
         for (f, triangle) in self.triangles.iter().enumerate() {
@@ -186,7 +191,8 @@ fn scale_into_square(uvs: &mut [Vec2]) -> Option<String> {
 fn from_gltf(asset: &Asset) -> Result<Soup, Fault> {
     asset.check_required()?;
     let faces = Some(Location::Pointer("/meshes".to_owned()));
-    let mut soup = Soup { faces, notes: not_placed(asset)?, ..Soup::default() };
+    let y_up = !is_ours(&asset.document);
+    let mut soup = Soup { faces, y_up, notes: not_placed(asset)?, ..Soup::default() };
     // Rest pose.
     let motion = Motion::default();
     let mut poses = Poses::new(&asset.document, &motion)?;

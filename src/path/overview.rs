@@ -23,7 +23,9 @@ const MOST: usize = 1 << 18;
 pub struct Overview {
     /// Views in a ring, counterclockwise seen from above, all of 1024×768 and 45° high.
     pub views: Vec<Camera>,
-    /// Radius of the ball that each of them has in its picture, in world units.
+    /// Centre of the ball that each of them has in its picture, world space.
+    pub focus: DVec3,
+    /// Radius of that ball in world units.
     pub radius: f64,
 }
 
@@ -41,7 +43,7 @@ pub fn overview(scene: &HybridScene, count: usize) -> Result<Overview, PathError
     let (radius_of_ring, height) = (Some(distance * cos), Some(distance * sin));
     let around = Around { focus: Some(focus), radius: radius_of_ring, height, ..Around::default() };
     let views = orbit(&[first], &around, &Shot { frames: count, size: None, fov_y: None })?;
-    Ok(Overview { views, radius })
+    Ok(Overview { views, focus, radius })
 }
 
 fn lens() -> Intrinsics {

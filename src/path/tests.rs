@@ -280,8 +280,9 @@ fn a_scene_without_views_is_seen_from_around_it() {
         vec![[0.0; 3]; count],
     );
     let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
-    let Overview { views, radius } = overview(&scene, 8).unwrap();
+    let Overview { views, focus, radius } = overview(&scene, 8).unwrap();
     assert!(views.len() == 8 && (2.0..5.0).contains(&radius), "{radius}");
+    assert!(solid.iter().all(|p| p.distance(focus) < radius), "{focus}");
     for view in &views {
         assert!(solid.iter().all(|&p| view.in_picture(view.to_camera(p)).is_some()));
         assert!((view.center() - middle).y < 0.0 && view.rotation().row(1).y > 0.9);

@@ -167,6 +167,9 @@ impl Camera {
             let expected = "a target away from the camera, and an up that is finite";
             return Err(SceneError::new("view", expected, format!("{forward} from it, and {up}")));
         }
+        // Squares of very long and very short ones are not representable.
+        let largest = up.abs().max_element();
+        let up = if largest > 0.0 { up / largest } else { up };
         let to_camera = view_axes(forward.normalize(), up).transpose();
         Self::new(intrinsics, to_camera, -(to_camera * center))
     }
@@ -279,13 +282,14 @@ mod tests {
     fn a_camera_looks_at_its_target_with_up_upwards() {
         let lens = Intrinsics::from_fov_y(200, 100, 0.5 * std::f64::consts::PI);
         let (center, target) = (DVec3::new(3.0, -1.0, 2.0), DVec3::new(-1.0, 2.0, 5.0));
-        for up in [DVec3::NEG_Y, 7.0 * DVec3::Z, DVec3::new(0.1, -0.2, 0.3)] {
+        let any_length = [1e-320, 1e-200, 1e200, f64::MAX].map(|length| length * DVec3::NEG_Y);
+        for up in [DVec3::NEG_Y, 7.0 * DVec3::Z, DVec3::new(0.1, -0.2, 0.3)].into_iter().chain(any_length) {
             let camera = Camera::look_at(lens, center, target, up).unwrap();
             assert!(camera.center().abs_diff_eq(center, 1e-12), "{up}");
             let seen = camera.to_camera(target);
             assert!(camera.project(seen).abs_diff_eq(DVec2::new(100.0, 50.0), 1e-9) && seen.z > 0.0, "{up}: {seen}");
             // The up direction is neither to the left nor to the right, and points upwards: y is down.
-            let above = camera.rotation() * up;
+            let above = camera.rotation() * (up / up.abs().max_element());
             assert!(above.x.abs() < 1e-12 && above.y < 0.0, "{up}: {above}");
         }
         // Looking straight down, no direction in the picture is level.

@@ -392,7 +392,8 @@ fn no_training_is_left_behind_or_done_twice() {
         assert!(lock.starts_with("jobs at a time: 1\n"), "{lock}");
         if signal == "INT" {
             let heard = "note: stopping after the current step, and keeping what is done; a second time ends at once\n";
-            assert_eq!(said(&ended).1, format!("{heard}error: stopped; the same command goes on\n"));
+            assert_eq!(said(&ended).1, format!("{heard}note: stopped; the same command goes on\n"));
+            assert_eq!(ended.status.code(), Some(130));
         } else if signal == "KILL" {
             // The training outlives its runner, and continues.
             is_left_to_another();

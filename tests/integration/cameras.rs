@@ -17,10 +17,15 @@ fn run(folder: &Path, args: &[&str]) -> String {
 
 /// Writes a ball that is red at x > 0 and blue at x < 0.
 fn write_ball(path: &Path, composition: Composition) {
-    let means = vec![Vec3::new(0.2, 0.0, 0.0), Vec3::new(-0.2, 0.0, 0.0)];
+    write_ball_of(path, composition, 1.0);
+}
+
+/// Same as [`write_ball`], so many times as large.
+fn write_ball_of(path: &Path, composition: Composition, size: f32) {
+    let means = vec![size * Vec3::new(0.2, 0.0, 0.0), size * Vec3::new(-0.2, 0.0, 0.0)];
     let color = |c: [f32; 3]| c.map(|v| (v - 0.5) / 0.282_094_8);
     let sh = vec![color([1.0, 0.0, 0.0]), color([0.0, 0.0, 1.0])];
-    let scales = vec![Vec3::splat(0.1f32.ln()); 2];
+    let scales = vec![Vec3::splat((0.1 * size).ln()); 2];
     let splats = Splats::new(means, vec![Quat::IDENTITY; 2], scales, vec![5.0; 2], 0, sh).unwrap();
     let scene = HybridScene { splats, meshes: vec![], composition };
     write_scene(path, &scene, &WriteOptions::default()).unwrap();
@@ -358,6 +363,38 @@ fn scenes_without_cameras_are_seen_from_around_them() {
     assert_eq!(line, "error: empty.ply: expected a scene to look at, found no splats and no meshes");
 }
 
+/// All of such a scene is nearer to the cameras of a path than the usual near plane.
+#[test]
+fn small_scenes_are_seen_from_paths_around_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_ball_of(&at("small.ply"), Composition::default(), 0.01);
+    run(folder.path(), &["cameras", "orbit", "small.ply", "-o", "o.json", "--frames", "2", "--size", "32x24"]);
+    run(folder.path(), &["render", "small.ply", "--cameras", "o.json", "-o", "frames"]);
+    let picture = image::open(at("frames/frame_00000.png")).unwrap().into_rgb8();
+    assert!((0..32).any(|x| picture.get_pixel(x, 12).0.iter().any(|c| *c > 100)), "it is black");
+    // Programs that open the path show the scene, too.
+    let corners = [0.0_f32, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01, 0.0];
+    std::fs::write(at("small.bin"), corners.map(f32::to_le_bytes).as_flattened()).unwrap();
+    let theirs = serde_json::json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3, "min": [0, 0, 0], "max": [0.01, 0.01, 0] }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }], "buffers": [{ "byteLength": 36, "uri": "small.bin" }],
+    });
+    std::fs::write(at("small.gltf"), theirs.to_string()).unwrap();
+    for (scene, out, more) in [("small.ply", "path.gltf", None), ("small.gltf", "both.gltf", Some("--with-scene"))] {
+        let orbit = ["cameras", "orbit", scene, "-o", out, "--frames", "2"];
+        run(folder.path(), &orbit.into_iter().chain(more).collect::<Vec<_>>());
+        let path: serde_json::Value = serde_json::from_slice(&std::fs::read(at(out)).unwrap()).unwrap();
+        let near = path["cameras"][0]["perspective"]["znear"].as_f64().unwrap();
+        assert!(near > 0.0 && near < 0.002, "{out}: {near}");
+    }
+    run(folder.path(), &["cameras", "orbit", "small.ply", "-o", "path.usda", "--frames", "2"]);
+    let path = std::fs::read_to_string(at("path.usda")).unwrap();
+    assert!(path.contains("clippingRange = (") && !path.contains("clippingRange = (0.2"), "{path}");
+}
+
 #[test]
 fn what_makes_no_path_is_one_line() {
     let folder = tempfile::tempdir().unwrap();
@@ -373,7 +410,14 @@ fn what_makes_no_path_is_one_line() {
     let two =
         one.replace("}] }", "}, { \"w\": 9, \"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]] }] }");
     std::fs::write(at("two.json"), two).unwrap();
-    let cases: [(&[&str], &str); 12] = [
+    let sheared = "#usda 1.0\n( metersPerUnit = 1\n upAxis = \"Y\" )\ndef Camera \"c\" {\n float3 xformOp:scale = (1, 2, 3)\n \
+                   uniform token[] xformOpOrder = [\"xformOp:scale\"]\n}\n";
+    std::fs::write(at("sheared.usda"), sheared).unwrap();
+    let cases: [(&[&str], &str); 13] = [
+        (
+            &["cameras", "orbit", "sheared.usda", "-o", "a.json"],
+            "sheared.usda: /: expected a camera, found /c: camera left out: its transform has shear, mirroring or non-uniform scale",
+        ),
         (
             &["cameras", "orbit", "capture", "-o", "ball.glb"],
             "ball.glb: holds a scene, which would be lost: expected another file",

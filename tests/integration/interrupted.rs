@@ -113,6 +113,36 @@ fn scoring_and_rendering_stop_and_the_scene_stays() {
     let (said, code) = stopped(folder.path(), "render scene.glb -o pictures", ("rendering", 80), "INT");
     assert_eq!((said["outcome"].as_str(), code), (Some("interrupted"), Some(130)), "{said}");
     assert_eq!(said["pictures"].as_array().unwrap().len(), common::tree(&at("pictures")).len());
+    assert!(said["notes"].is_array(), "{said}");
+}
+
+/// Even if ffmpeg does not end by itself.
+#[test]
+fn a_film_that_is_stopped_is_none() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], vec![Vec3::ZERO], vec![0.5], 0, vec![[0.1; 3]]);
+    ply::write(&at("in.ply"), &splats.unwrap()).unwrap();
+    std::fs::create_dir(at("bin")).unwrap();
+    let script = "#!/bin/sh\n[ \"$1\" = -version ] && exit\nPATH=/usr/bin:/bin\n: >encoding\nexec sleep 60\n";
+    std::fs::write(at("bin/ffmpeg"), script).unwrap();
+    std::fs::set_permissions(at("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).unwrap();
+    let mut command = common::centaur(folder.path());
+    command.args("render in.ply -o frames --max-side 32 --video film.mp4 --json --quiet".split(' '));
+    command.env("PATH", at("bin")).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    assert!(wait_for(&mut child, "ffmpeg", || at("encoding").exists()), "it ended before");
+    common::send("TERM", &child.id().to_string());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(143));
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((said["outcome"].as_str(), said["pictures"].as_array().unwrap().len()), (Some("interrupted"), 8));
+    let note = said["notes"][0].as_str().unwrap();
+    assert!(note.starts_with("has no cameras: rendered from 8 places"), "{note}");
+    let mut left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["bin", "encoding", "frames", "in.ply"]);
 }
 
 /// The checkpoint is no longer needed once everything is written, and is removed even if nobody reads the output.

@@ -198,7 +198,14 @@ fn flight() -> CameraFile {
         let camera = Camera::new(lens, DMat3::from_rotation_y(0.3 * i as f64), DVec3::new(0.0, 0.1 * i as f64, 2.0));
         (format!("frame_{i:05}"), camera.expect("a rigid pose"))
     };
-    CameraFile { cameras: (0..7).map(frame).collect(), fps: Some(24.0), y_up: false, times: vec![], notes: vec![] }
+    CameraFile {
+        cameras: (0..7).map(frame).collect(),
+        fps: Some(24.0),
+        y_up: false,
+        times: vec![],
+        near: None,
+        notes: vec![],
+    }
 }
 
 fn ascii_ply() -> String {

@@ -19,8 +19,8 @@ use centaur::render::gpu::{GpuError, survey_adapters};
 use self::jobs::{Job, Protocol, Shard, Variant};
 use self::record::Record;
 use self::work::Outcome;
-use super::output;
 use super::shared::MessageArgs;
+use super::{interrupt, output};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -195,7 +195,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if is_stopped {
         let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
         let again = if names.is_empty() { "" } else { ", and repeats what failed: " };
-        bail!("stopped; the same command goes on{again}{}", names.join(", "));
+        output::note(&format!("stopped; the same command goes on{again}{}", names.join(", ")));
+        return interrupt::stopped(printed);
     }
     if let Some((job, reason)) = failed.first() {
         bail!("{} of {} jobs failed, first {}: {reason}", failed.len(), open.len(), job.name());

@@ -36,7 +36,7 @@ pub(super) struct Outcome<'j> {
     pub(super) failed: Vec<(&'j Job, String)>,
     /// Without a result: another runner is at them, or the run was stopped.
     pub(super) left: Vec<&'j Job>,
-    /// By Ctrl-C, before all were done.
+    /// By Ctrl-C, before all were done: some are left.
     pub(super) is_stopped: bool,
 }
 
@@ -121,9 +121,10 @@ fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Result<Outco
     });
     bar.finish_and_clear();
     let failed = failed.into_inner().unwrap_or_default();
-    let is_stopped = stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed);
     let has_failed = |job: &Job| failed.iter().any(|(failed, _)| std::ptr::eq(*failed, job));
-    let left = open.iter().copied().filter(|job| !job.result.is_file() && !has_failed(job)).collect();
+    let left: Vec<&Job> = open.iter().copied().filter(|job| !job.result.is_file() && !has_failed(job)).collect();
+    let is_asked_to_stop = stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed);
+    let is_stopped = is_asked_to_stop && !left.is_empty();
     Ok(Outcome { failed, left, is_stopped })
 }
 
@@ -234,7 +235,18 @@ fn this_program() -> Result<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser as _;
+
     use super::*;
+    use crate::cli::{self, Cli};
+
+    #[test]
+    fn who_has_done_all_is_not_stopped() {
+        let cli = Cli::try_parse_from(["centaur", "bench", "scenes", "-o", "out"]).unwrap();
+        let cli::Command::Bench(args) = cli.command else { unreachable!() };
+        let outcome = attempt(&[], &args, &AtomicBool::new(true)).unwrap();
+        assert!(!outcome.is_stopped && outcome.left.is_empty());
+    }
 
     #[test]
     fn file_systems_without_locks_are_told_from_other_failures() {

@@ -12,7 +12,7 @@ use clap::ValueEnum;
 use glam::DVec3;
 
 use crate::cli::edits::positive;
-use crate::cli::shared::{AdapterArgs, CaptureArgs, Choice, MessageArgs};
+use crate::cli::shared::{self, AdapterArgs, CaptureArgs, Choice, MessageArgs};
 use crate::cli::{eval, output, usage};
 
 const EXAMPLES: &str = "\
@@ -484,7 +484,8 @@ impl Args {
             "is near hardly any of the points of the capture: is it in the frame and unit of the camera poses?"
                 .to_owned()
         });
-        let notes = mesh.notes.into_iter().chain(stray).map(|note| format!("{}: {note}", file.display())).collect();
+        let notes = mesh.notes.into_iter().chain(shared::as_stored(mesh.y_up)).chain(stray);
+        let notes = notes.map(|note| format!("{}: {note}", file.display())).collect();
         Ok((MeshSource::Given { surface, corner_uvs: mesh.corner_uvs }, notes))
     }
 }

@@ -33,6 +33,9 @@ pub struct CameraFile {
     pub y_up: bool,
     /// Time of each camera, in seconds of the file's clock; empty if the cameras are not frames of a shot.
     pub times: Vec<f64>,
+    /// Depth of the near plane with which they are written; `None`: that of the scene with which they are, or the usual one.
+    /// Readers leave it out.
+    pub near: Option<f32>,
     /// Notes on content that could not be represented exactly, one sentence each.
     pub notes: Vec<String>,
 }
@@ -157,6 +160,12 @@ pub(super) fn chosen(
     if sampling.only.is_empty() && !others.is_empty() {
         notes.push(format!("cameras that do not move: left out ({})", others.len()));
     }
+    // Of those that rest, nothing says at which time of the others they are.
+    let one_that = |moves: bool| kept.iter().find(|camera| camera.fps.is_some() == moves);
+    if let (Some(moving), Some(resting)) = (one_that(true), one_that(false)) {
+        let found = format!("{}, which moves, and {}, which does not", moving.name, resting.name);
+        return Err(Fault::whole("cameras that all move, or none that does", found));
+    }
     let fps = kept.iter().find_map(|camera| camera.fps);
     let one = kept.len() == 1;
     let (mut cameras, mut times) = (vec![], vec![]);
@@ -169,7 +178,7 @@ pub(super) fn chosen(
         };
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
-    Ok(CameraFile { cameras, fps, y_up, times, notes })
+    Ok(CameraFile { cameras, fps, y_up, times, near: None, notes })
 }
 
 /// Number of frames from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or

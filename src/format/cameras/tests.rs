@@ -39,7 +39,14 @@ fn read(path: &Path) -> CameraFile {
 fn what_is_written_is_read() {
     let folder = tempfile::tempdir().unwrap();
     for (frames, fps) in [(1, 24.0), (2, 30.0), (37, 29.97), (300, 60.0)] {
-        let file = CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), y_up: false, times: vec![], notes: vec![] };
+        let file = CameraFile {
+            cameras: shot(frames, 0.0),
+            fps: Some(fps),
+            y_up: false,
+            times: vec![],
+            near: None,
+            notes: vec![],
+        };
         for (name, tolerance) in [("a.glb", 1e-5), ("a.gltf", 1e-5), ("a.usda", 1e-12)] {
             let path = folder.path().join(name);
             let bytes = write_cameras(&path, &file).unwrap();
@@ -74,7 +81,8 @@ fn what_is_written_is_read() {
 #[test]
 fn lenses_may_differ() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: false, times: vec![], notes: vec![] };
+    let file =
+        CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: false, times: vec![], near: None, notes: vec![] };
     let at = |name: &str| {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -94,7 +102,8 @@ fn lenses_may_differ() {
 #[test]
 fn frames_of_reference_are_kept_where_files_have_one() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: true, times: vec![], notes: vec![] };
+    let file =
+        CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: true, times: vec![], near: None, notes: vec![] };
     for name in ["a.glb", "a.usda"] {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -147,7 +156,7 @@ fn names_of_pictures_are_safe_and_unique() {
         (["a.jpg", "A.jpg"], ["a.png", "A_2.png"]),
     ] {
         let cameras = vec![(given[0].to_owned(), first), (given[1].to_owned(), second)];
-        let file = CameraFile { cameras, fps: None, y_up: false, times: vec![], notes: vec![] };
+        let file = CameraFile { cameras, fps: None, y_up: false, times: vec![], near: None, notes: vec![] };
         for name in ["a.json", "model"] {
             write_cameras(&folder.path().join(name), &file).unwrap();
             let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();
@@ -164,7 +173,8 @@ fn names_of_pictures_are_safe_and_unique() {
 fn captures_are_neither_replaced_nor_hidden() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let file = CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), y_up: false, times: vec![], notes: vec![] };
+    let file =
+        CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), y_up: false, times: vec![], near: None, notes: vec![] };
     let write = |name: &str| write_cameras(&root.join(name), &file).map_err(|e| e.to_string());
     let refused = |name: &str, held: &str| {
         let path = root.join(name).display().to_string();
@@ -233,7 +243,7 @@ fn shots_keep_their_times() {
     for (start, fps, frames) in [(5.0, 30.0, 91), (0.25, 29.97, 40), (4000.1, 60.0, 7)] {
         let times: Vec<f64> = (0..frames).map(|i| start + f64::from(i) / fps).collect();
         let cameras = shot(times.len(), 0.0);
-        let file = CameraFile { cameras, fps: Some(fps), y_up: false, times, notes: vec![] };
+        let file = CameraFile { cameras, fps: Some(fps), y_up: false, times, near: None, notes: vec![] };
         for name in ["a.glb", "a.usda"] {
             let path = folder.path().join(name);
             write_cameras(&path, &file).unwrap();
@@ -397,6 +407,13 @@ fn animations_of_gltf_are_followed_through_ancestors() {
     assert_eq!(found.notes.last().unwrap(), "cameras that do not move: left out (1)");
     let resting = read_cameras(&alone, &Sampling { only: &["resting".to_owned()], ..Sampling::default() }).unwrap();
     assert_eq!((resting.cameras.len(), resting.fps), (1, None));
+    // Together they would be frames of which some have no time.
+    let both = ["moving", "resting"].map(str::to_owned);
+    let error = read_cameras(&alone, &Sampling { only: &both, ..Sampling::default() }).unwrap_err().to_string();
+    let expected = "/cameras: expected cameras that all move, or none that does, found moving, which moves, and resting, which does not";
+    assert!(error.ends_with(expected), "{error}");
+    let at_once = Sampling { only: &both, time: Some(1.5), ..Sampling::default() };
+    assert_eq!(read_cameras(&alone, &at_once).unwrap().cameras.len(), 2);
 }
 
 #[test]
@@ -551,8 +568,9 @@ def Camera "resting" { }
         .replace("[\"xformOp:rotateZ\"]", "[\"xformOp:rotateZ\", \"xformOp:scale\"]")
         .replace("def Camera \"resting\" { }", "");
     std::fs::write(&path, sheared.replace("metersPerUnit = 0.01", "")).unwrap();
-    let error = read_cameras(&path, &Sampling::default()).unwrap_err().to_string();
-    assert!(error.contains("expected a camera, found /rig/shot: camera left out: its transform has shear"), "{error}");
+    let error = read_cameras(&path, &Sampling::default()).unwrap_err();
+    let said = "expected a camera, found /rig/shot: camera left out: its transform has shear";
+    assert!(error.to_string().contains(said) && !error.is_lack_of_cameras(), "{error}");
 }
 
 #[test]
@@ -592,7 +610,8 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     for (name, y_up) in [("ours.gltf", false), ("theirs.gltf", true), ("moved.gltf", false)] {
         let before = read_file(&at(name), &ReadOptions::default()).unwrap();
         assert_eq!((before.y_up, before.cameras.len()), (y_up, 1), "{name}");
-        let file = CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up, times: vec![], notes: vec![] };
+        let file =
+            CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up, times: vec![], near: None, notes: vec![] };
         // A path replaces the previous one: by another path, by one with changing lenses, and by one with fewer frames.
         let paths = [shot(9, 0.0), shot(7, 0.0), shot(7, 1.5), shot(3, 1.5), shot(7, 0.0)];
         let mut from = at(name);
@@ -624,7 +643,8 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
         assert!(largest_difference(&file.cameras, &back.in_frame(false).cameras) < 2e-5, "{name}");
     }
     let error = |out: &str, scene: &str| {
-        let file = CameraFile { cameras: shot(1, 0.0), fps: None, y_up: false, times: vec![], notes: vec![] };
+        let file =
+            CameraFile { cameras: shot(1, 0.0), fps: None, y_up: false, times: vec![], near: None, notes: vec![] };
         write_cameras_with_scene(&at(out), &at(scene), &file).unwrap_err().to_string()
     };
     assert!(error("a.json", "ours.gltf").contains("expected a name that ends in .glb or .gltf"));
@@ -639,7 +659,8 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
     let cameras = [("front".to_owned(), camera())];
     let scene = random_scene(5, 0, 1, 4);
     write_scene(&at("a.glb"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
-    let file = CameraFile { cameras: shot(5, 0.0), fps: Some(9.0), y_up: false, times: vec![], notes: vec![] };
+    let file =
+        CameraFile { cameras: shot(5, 0.0), fps: Some(9.0), y_up: false, times: vec![], near: None, notes: vec![] };
     write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &file).unwrap();
     let document =
         |name: &str| -> serde_json::Value { serde_json::from_slice(&std::fs::read(at(name)).unwrap()).unwrap() };

@@ -340,7 +340,7 @@ fn primitives_without_positions_are_left_out() {
     let path = folder.path().join("a.gltf");
     std::fs::write(&path, b.file(&document)).unwrap();
     let mesh = crate::format::mesh_import::read(&path).unwrap();
-    assert_eq!((mesh.triangles.len(), mesh.notes), (1, vec![said(0), said(2)]));
+    assert_eq!((mesh.triangles.len(), mesh.y_up, mesh.notes), (1, true, vec![said(0), said(2)]));
     let asset = Asset::open(&path).unwrap();
     let primitives = &describe(&asset).map_err(|_| ()).unwrap().nodes[0].primitives;
     assert_eq!(primitives.iter().map(|p| p.vertices).collect::<Vec<_>>(), [0, 3, 0]);

@@ -84,7 +84,7 @@ pub(super) use read::{not_placed, scene as scene_of};
 pub use remainder::{Remnant, Role};
 pub(super) use sizes::{Sizes, sizes};
 pub use source::Source;
-pub(super) use transform::placements;
+pub(super) use transform::{is_ours, placements};
 pub(super) use tree::document as describe;
 pub use tree::{Document, Node, Primitive};
 pub(super) use uri::{Loaded, bytes_of_files, resolve};
@@ -198,7 +198,8 @@ pub(super) fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<u64, Fo
     let composition = Composition::default();
     let nothing = HybridScene { splats: Splats::empty(0), meshes: vec![], composition };
     let (mut document, mut bin) = write::layout(&nothing, &[], None);
-    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(false), composition.near);
+    let near = cameras.near.unwrap_or(composition.near);
+    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(false), near);
     container::write(path, document, &bin)
 }
 
@@ -207,6 +208,7 @@ pub(super) fn write_with_cameras(path: &Path, scene: &Path, cameras: &CameraFile
     let options = ReadOptions { keep_document: true, ..ReadOptions::default() };
     let (content, source) = read_as_stored(scene, &options)?;
     let (mut document, mut bin) = source.as_read();
-    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(content.y_up), content.scene.composition.near);
+    let near = cameras.near.unwrap_or(content.scene.composition.near);
+    shot::append(&mut document, &mut bin, &cameras.clone().in_frame(content.y_up), near);
     container::write(path, document, &bin)
 }

@@ -479,6 +479,7 @@ fn import_undoes_the_frame_and_the_seams() {
     let path = folder.path().join("scene.glb");
     write_glb(&path, &scene, &[], None).unwrap();
     let imported = crate::format::mesh_import::read(&path).unwrap();
+    assert!(!imported.y_up);
     assert_eq!(imported.corner_uvs.unwrap(), mesh.corner_uvs());
     assert_eq!(imported.positions.len(), 4, "of six, one is of no triangle and two are in one place");
     for (a, b) in imported.triangles.iter().zip(mesh.triangles()) {

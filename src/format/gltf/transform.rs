@@ -84,7 +84,7 @@ pub(super) fn frame_of(document: &gltf::Document) -> DMat4 {
 }
 
 /// Whether a document has our root node; then its frame is that of the capture, otherwise glTF's.
-pub(super) fn is_ours(document: &gltf::Document) -> bool {
+pub(in crate::format) fn is_ours(document: &gltf::Document) -> bool {
     document.nodes().any(|node| is_our_root(&node))
 }
 

@@ -135,8 +135,9 @@ pub(super) fn layer(shown: &CameraFile) -> Layer {
     {
         export.metadata.push(Field { edit: None, name: name.to_owned(), value: Value::Number(value) });
     }
+    let near = shown.near.unwrap_or(composition.near);
     let frames: Vec<Prim> =
-        shown.cameras.iter().map(|(_, camera)| from_scene::view(NAME, NAME, camera, composition.near)).collect();
+        shown.cameras.iter().map(|(_, camera)| from_scene::view(NAME, NAME, camera, near)).collect();
     export.prims[0].children.extend(merged(&frames, &codes));
     export
 }
