@@ -618,7 +618,10 @@ fn checkpoints_of_other_runs_and_damaged_ones() {
     stop_after_one_iteration(folder.path(), &options, &checkpoint);
     let whole = std::fs::read(&checkpoint).unwrap();
     let line = resumed(&["--seed", "7"]);
-    assert!(line.ends_with("expected a checkpoint of a run with the same options, but seed was 0 and is 7"), "{line}");
+    assert!(
+        line.ends_with("expected a checkpoint of a run with the same options, but seed was 0 and is now 7"),
+        "{line}"
+    );
     let mut with_mesh = train(folder.path(), ["--surface", "points", "--resume"]);
     let line = failure(folder.path(), &mut with_mesh);
     assert!(line.ends_with("a run with the same mesh, but it was none and is now points"), "{line}");

@@ -67,9 +67,9 @@ fn a_run_takes_checkpoints_of_its_own_input_alone() {
         assert!(said.ends_with("at the same size, cameras and points, found others"), "{i}: {said}");
     }
     let said = after(|i| i.mesh = InputMesh::Given { triangles: 2, shape: 255 }).unwrap_or_default();
-    let meshes = "that was given, 2 triangles, 00000000000000ff and is given, 2 triangles, fffffffffffffffe";
+    let meshes = "it was given, 2 triangles, 00000000000000ff and is now given, 2 triangles, fffffffffffffffe";
     assert!(said.ends_with(meshes), "{said}");
-    assert!(after(|i| i.mesh = InputMesh::Points).is_some_and(|said| said.contains("that was points and is given")));
+    assert!(after(|i| i.mesh = InputMesh::Points).is_some_and(|said| said.contains("it was points and is now given")));
 }
 
 /// A checkpoint whose input cannot be identified is refused.
@@ -95,11 +95,11 @@ fn options_that_matter_are_those_of_the_checkpoint() {
     let endless = TrainOptions { lambda: f32::INFINITY, ..d() };
     assert_eq!(said(endless.clone(), endless.clone()), None);
     for (before, now, expected) in [
-        (TrainOptions { seed: 3, ..d() }, seldom, "seed was 3 and is 0"),
-        (d(), TrainOptions { ssim_weight: 0.3, ..d() }, "ssim weight was 0.2 and is 0.3"),
-        (d(), TrainOptions { density: Density::Inria, ..d() }, "density was \"mcmc\" and is \"inria\""),
-        (d(), TrainOptions { max_splats: Some(5), ..d() }, "max splats was null and is 5"),
-        (d(), endless, "lambda was 0.01 and is null"),
+        (TrainOptions { seed: 3, ..d() }, seldom, "seed was 3 and is now 0"),
+        (d(), TrainOptions { ssim_weight: 0.3, ..d() }, "ssim weight was 0.2 and is now 0.3"),
+        (d(), TrainOptions { density: Density::Inria, ..d() }, "density was \"mcmc\" and is now \"inria\""),
+        (d(), TrainOptions { max_splats: Some(5), ..d() }, "max splats was null and is now 5"),
+        (d(), endless, "lambda was 0.01 and is now null"),
     ] {
         let said = said(before, now).unwrap_or_default();
         assert_eq!(said, format!("expected a checkpoint of a run with the same options, but {expected}"));
