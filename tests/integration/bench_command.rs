@@ -227,7 +227,7 @@ fn a_stopped_job_with_other_flags_names_a_way_out() {
     };
     let refused = bench();
     let expected = "default/one-0: out/default/one-0.glb.checkpoint: expected a checkpoint of a run with the same options, but iterations was \
-                    9 and is 4: delete that file to do the job anew, or give the variant another name (exit status: 1)";
+                    9 and is now 4: delete that file to do the job anew, or give the variant another name (exit status: 1)";
     assert_eq!(said(&refused).1.lines().next(), Some(expected));
     std::fs::remove_file(at("out/default/one-0.glb.checkpoint")).unwrap();
     let done = bench();

@@ -45,7 +45,7 @@ fn layouts_near_inrias_are_read_with_a_note() {
     assert!(of_4.attributes.is_empty());
     let bound = header.replace("end_header", "property float binding_0\nend_header");
     let bound = read(&bound, rows.iter().map(|row| [&row[..], &[5.0]].concat()).collect());
-    assert!(bound.notes[0].starts_with("binding_0: of GaussianAvatars"), "{:?}", bound.notes);
+    assert!(bound.notes[0].starts_with("binding_0: from GaussianAvatars"), "{:?}", bound.notes);
     assert_eq!(bound.attributes[0].values(), [5.0, 5.0]);
 }
 
