@@ -98,6 +98,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         scene.composition.background = background.color();
     }
     let capture = args.loading.open(&args.capture, true)?;
+    // Refused before any note is printed.
+    args.output.as_deref().map_or(Ok(()), |folder| report_pictures(folder, &capture).map(drop))?;
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
