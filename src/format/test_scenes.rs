@@ -1,10 +1,13 @@
 //! Random scenes for the tests of this module.
 
+use std::path::Path;
+
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
 use super::loss::{Loss, SplatError};
+use super::{ReadOptions, SceneFile, read_file};
 use crate::scene::{
     Atlas, Camera, ColorSpace, Composition, HybridScene, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture, sh,
 };
@@ -115,4 +118,19 @@ fn deflated(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::best());
     std::io::Write::write_all(&mut encoder, bytes).unwrap();
     encoder.finish().unwrap()
+}
+
+/// Reads a file of a y-up world with one triangle and one camera, as two tests write it for glTF and USD, and asserts that
+/// both are in the frame of captures. `y_up` is whether the file says so.
+#[track_caller]
+pub(super) fn read_turned(path: &Path, y_up: bool) -> SceneFile {
+    let file = read_file(path, &ReadOptions::default()).unwrap();
+    assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
+    let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
+    assert_eq!(file.scene.meshes[0].positions(), expected);
+    // The camera looked along −z with y up; in the scene it looks along z with y down.
+    let camera = file.cameras[0].1;
+    assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
+    assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
+    file
 }

@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use serde_json::{Value, json};
 
 use super::extension::HYBRID;
 use super::*;
 use crate::base64;
+use crate::format::test_scenes::read_turned;
 use crate::format::{WriteOptions, read_file, read_scene, write_scene};
 
 /// Builder of documents, which turns each array into an accessor with its own buffer view.
@@ -105,30 +106,19 @@ fn what_others_wrote_stays_where_it_is_however_often_it_is_written() {
         "cameras": [{ "type": "perspective", "perspective": { "yfov": 1.0, "aspectRatio": 1.5, "znear": 0.1 } }],
     });
     std::fs::write(at("theirs.gltf"), b.file(&document)).unwrap();
-    #[track_caller]
-    fn check(path: &Path, y_up: bool) {
-        let file = read_file(path, &ReadOptions::default()).unwrap();
-        assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
-        let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
-        assert_eq!(file.scene.meshes[0].positions(), expected);
-        // The camera looked along −z with y up; in the scene it looks along z with y down.
-        let camera = file.cameras[0].1;
-        assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
-        assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
-    }
-    check(&at("theirs.gltf"), true);
+    read_turned(&at("theirs.gltf"), true);
     let theirs = read_file(&at("theirs.gltf"), &ReadOptions { keep_document: true, ..ReadOptions::default() }).unwrap();
     for (name, source) in [("a.gltf", None), ("a.glb", None), ("a.usda", None), ("same.glb", theirs.source.as_ref())] {
         let options = WriteOptions { cameras: &theirs.cameras, source, ..WriteOptions::default() };
         write_scene(&at(name), &theirs.scene, &options).unwrap();
-        check(&at(name), source.is_some());
+        read_turned(&at(name), source.is_some());
     }
     // Programs that do not know our root node see the scene where the original was.
     let mut ours: Value = serde_json::from_slice(&std::fs::read(at("a.gltf")).unwrap()).unwrap();
     let root = ours["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
     ours["nodes"][root]["name"] = json!("world");
     std::fs::write(at("seen.gltf"), ours.to_string()).unwrap();
-    check(&at("seen.gltf"), true);
+    read_turned(&at("seen.gltf"), true);
 
     write_scene(&at("b.glb"), &read_scene(&at("theirs.gltf")).unwrap(), &WriteOptions::default()).unwrap();
     assert_eq!(read_scene(&at("b.glb")).unwrap().meshes, theirs.scene.meshes);

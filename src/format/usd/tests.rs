@@ -1,10 +1,10 @@
-use glam::{DMat3, DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use proptest::prelude::*;
 
 use super::*;
 use crate::format::map_budget::MapBudget;
-use crate::format::test_scenes::{camera, random_scene};
-use crate::format::{ReadOptions, SceneFile, WriteOptions, read_file, write_scene};
+use crate::format::test_scenes::{camera, random_scene, read_turned};
+use crate::format::{WriteOptions, write_scene};
 use crate::scene::{Splats, sh};
 
 fn assert_close(a: &Splats, b: &Splats) {
@@ -232,30 +232,18 @@ def Camera "C" {
 }
 "#;
     std::fs::write(at("theirs.usda"), layer).unwrap();
-    #[track_caller]
-    fn check(path: &Path, y_up: bool) -> SceneFile {
-        let file = read_file(path, &ReadOptions::default()).unwrap();
-        assert_eq!((file.y_up, file.cameras.len()), (y_up, 1));
-        let expected = [[0.0, -1.0, -2.0], [1.0, -1.0, -2.0], [0.0, -3.0, -2.0]].map(Vec3::from);
-        assert_eq!(file.scene.meshes[0].positions(), expected);
-        // The camera looked along −z with y up; in the scene it looks along z with y down.
-        let camera = file.cameras[0].1;
-        assert!(camera.center().abs_diff_eq(DVec3::new(0.5, -2.0, -7.0), 1e-6), "{}", camera.center());
-        assert!(camera.rotation().abs_diff_eq(DMat3::IDENTITY, 1e-6), "{}", camera.rotation());
-        file
-    }
-    let theirs = check(&at("theirs.usda"), true);
+    let theirs = read_turned(&at("theirs.usda"), true);
     let options = WriteOptions { cameras: &theirs.cameras, ..WriteOptions::default() };
     for name in ["a.usda", "a.usdz", "a.glb"] {
         write_scene(&at(name), &theirs.scene, &options).unwrap();
-        check(&at(name), false);
+        read_turned(&at(name), false);
     }
     // Programs that do not know our frame see the scene where the original was.
     let ours = std::fs::read_to_string(at("a.usda")).unwrap();
     let seen = ours.replace("\"capture\"", "\"theirs\"");
     assert_ne!(seen, ours);
     std::fs::write(at("a.usda"), seen).unwrap();
-    check(&at("a.usda"), true);
+    read_turned(&at("a.usda"), true);
 }
 
 #[test]
