@@ -54,7 +54,10 @@ impl Kernel {
             wgsl = wgsl.replace("var<uniform>", "var<storage, read>");
         }
         #[cfg(test)]
-        keep(&wgsl, file, entry);
+        {
+            keep(&wgsl, file, entry);
+            super::translation::check(&wgsl, entry, gpu.profile.subgroups);
+        }
         let bindings = shader::bindings(&wgsl);
         let threads = shader::workgroup_size(&wgsl, entry, defines) as usize;
         let entries: Vec<_> = bindings

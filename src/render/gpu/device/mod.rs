@@ -6,6 +6,8 @@ mod error;
 mod frame;
 mod host_memory;
 mod kernel;
+#[cfg(test)]
+mod translation;
 
 use std::{
     collections::HashMap,
