@@ -8,9 +8,9 @@ use rayon::prelude::*;
 
 use crate::{
     capture::{self, Capture, CaptureError, Photo, Split, View},
-    metrics::{self, Evaluation, Lpips, Measured, MetricError, ViewScore},
+    metrics::{self, Evaluation, Lpips, Measured, ViewScore},
     render::gpu::{Gpu, GpuError, Picture, Renderer},
-    scene::{Camera, Composition, HybridScene},
+    scene::{Camera, Composition, HybridScene, SceneError},
 };
 
 /// Number of views over which frames per second are averaged; each is rendered `TIMED_FRAMES` times.
@@ -39,7 +39,7 @@ pub enum EvaluateError {
         /// Name of the view.
         view: String,
         /// Reason.
-        source: MetricError,
+        source: SceneError,
     },
 }
 
@@ -212,7 +212,7 @@ impl Comparison {
     ///
     /// # Errors
     /// If the sizes differ.
-    pub fn psnr(&self) -> Result<f64, MetricError> {
+    pub fn psnr(&self) -> Result<f64, SceneError> {
         metrics::psnr(&metrics::quantised(&self.truth), &metrics::quantised(&self.render))
     }
 }

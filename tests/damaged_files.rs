@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use centaur::capture::{self, CaptureError, LoadOptions};
-use centaur::format::{self, FormatError, Location, ReadOptions, Sampling};
+use centaur::format::{self, Fault, FormatError, Location, ReadOptions, Sampling};
 use centaur::optimize::checkpoint::Checkpoint;
 use peak_alloc::PeakAlloc;
 use proptest::prelude::*;
@@ -116,7 +116,7 @@ fn read(folder: &Path, reader: &str, files: &[(&str, Vec<u8>)]) -> bool {
 fn of_format(e: FormatError) -> String {
     match &e {
         FormatError::Read { .. } => {}
-        FormatError::Content { location, expected, found, .. } => {
+        FormatError::Content { fault: Fault { location, expected, found }, .. } => {
             let is_member_alone = matches!(location, Location::Member { at, .. } if **at == Location::File);
             // Many formats have no cameras and no meshes: nothing is malformed then, but the whole file is of another
             // kind.
@@ -132,8 +132,8 @@ fn of_format(e: FormatError) -> String {
 #[expect(clippy::needless_pass_by_value, reason = "what `map_err` takes")]
 fn of_capture(e: CaptureError) -> String {
     let place = match &e {
-        CaptureError::Points(FormatError::Content { location, expected, .. }) => {
-            assert!(*location != Location::File && !expected.is_empty(), "nowhere: {e}");
+        CaptureError::Points(FormatError::Content { fault, .. }) => {
+            assert!(fault.location != Location::File && !fault.expected.is_empty(), "nowhere: {e}");
             return e.to_string();
         }
         CaptureError::Invalid { place, expected, found, .. } => {

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
 use centaur::edit;
-use centaur::format::ply::Attribute;
 use centaur::format::{
-    self, Format, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, one_line, spz,
+    self, Attribute, Format, FormatError, Loss, ReadOptions, SceneFile, WriteOptions, WriteReport, one_line, spz,
 };
 use centaur::scene::Composition;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -403,9 +402,7 @@ fn write(args: &Args, Files { inputs, output, format }: Files<'_>, edited: &Edit
     };
     let mut report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {
         FormatError::Write { source, .. } => FormatError::Write { file: output.to_owned(), source },
-        FormatError::Content { location, expected, found, .. } => {
-            FormatError::Content { file: output.to_owned(), location, expected, found }
-        }
+        FormatError::Content { fault, .. } => FormatError::Content { file: output.to_owned(), fault },
         other => other,
     })?;
     let extension = format.extension();

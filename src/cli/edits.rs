@@ -2,8 +2,8 @@
 
 use anyhow::{Context as _, Result};
 use centaur::edit::{self, Axes, Crop, Similarity, Volume};
+use centaur::format::Attribute;
 use centaur::format::gltf::Source;
-use centaur::format::ply::Attribute;
 use centaur::scene::{self, Camera, HybridScene, Splats};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use serde::Serialize;

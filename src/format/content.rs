@@ -1,5 +1,6 @@
 //! What readers are asked for and what they give, whatever the format.
 
+use super::attribute::Attribute;
 use super::error::Fault;
 use super::{cameras, placed};
 use crate::scene::{Camera, HybridScene, PixelFilter, Splats};
@@ -21,22 +22,29 @@ pub struct ReadOptions<'a> {
     pub animations: &'a [String],
 }
 
-/// Splats of a format that carries further information about them.
-#[derive(Clone, Debug)]
-pub struct NotedSplats {
+/// What a file of splats alone says, whatever its format. The splats are in the frame of captures; a format that states
+/// no frame is taken to be in it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SplatFile {
     /// The splats.
     pub splats: Splats,
-    /// Pixel filter with which the splats were trained: [`PixelFilter::NORMALIZED_DILATION`] where the file says
-    /// *antialiased*.
+    /// Pixel filter with which the splats were trained, [`PixelFilter::DILATION`] unless the file states another:
+    /// [`PixelFilter::NORMALIZED_DILATION`] where it says *antialiased*.
     pub pixel_filter: PixelFilter,
-    /// Notes on content that could not be represented, one sentence each.
+    /// Further per-splat attributes, which `.ply` alone has.
+    pub attributes: Vec<Attribute>,
+    /// Notes on content that could not be represented, and on what was made of content, one sentence each.
     pub notes: Vec<String>,
+    /// Number of splats left out; `None` for formats to which [`ReadOptions::drop_invalid`] does not apply: their files
+    /// are read entirely or not at all.
+    pub dropped: Option<usize>,
 }
 
-impl NotedSplats {
+impl SplatFile {
+    /// Content of a file of a format that has no attributes and of which no splat is dropped.
     pub(super) fn new(splats: Splats, antialiased: bool, notes: Vec<String>) -> Self {
         let pixel_filter = if antialiased { PixelFilter::NORMALIZED_DILATION } else { PixelFilter::DILATION };
-        Self { splats, pixel_filter, notes }
+        Self { splats, pixel_filter, attributes: vec![], notes, dropped: None }
     }
 }
 

@@ -31,16 +31,12 @@ pub enum FormatError {
         source: std::io::Error,
     },
     /// The content is malformed, or is well-formed but not something Centaur can represent.
-    #[error("{}: {location}expected {expected}, found {found}", file.display())]
+    #[error("{}: {fault}", file.display())]
     Content {
         /// File at fault.
         file: PathBuf,
-        /// Where in the file.
-        location: Location,
-        /// What the format, or Centaur, would accept.
-        expected: String,
-        /// What the file contains.
-        found: String,
+        /// Where in the file, and what is wrong with it.
+        fault: Fault,
     },
 }
 
@@ -53,7 +49,7 @@ impl FormatError {
     /// be read are another error, which gives the reason.
     #[must_use]
     pub fn is_lack_of_cameras(&self) -> bool {
-        matches!(self, Self::Content { expected, .. } if NO_CAMERAS.contains(&expected.as_str()))
+        matches!(self, Self::Content { fault, .. } if NO_CAMERAS.contains(&fault.expected.as_str()))
     }
 }
 
@@ -98,12 +94,22 @@ impl fmt::Display for Location {
     }
 }
 
-/// Precursor of [`FormatError::Content`] without the file's name, returned by parsers.
+/// What is wrong with the content of a file. Displays as [`FormatError::Content`] without the file's name.
 #[derive(Clone, Debug)]
-pub(crate) struct Fault {
-    location: Location,
-    expected: String,
-    found: String,
+pub struct Fault {
+    /// Where in the file.
+    pub location: Location,
+    /// What the format, or Centaur, would accept.
+    pub expected: String,
+    /// What the file contains.
+    pub found: String,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { location, expected, found } = self;
+        write!(f, "{location}expected {expected}, found {found}")
+    }
 }
 
 impl Fault {
@@ -197,10 +203,6 @@ impl Fault {
         }
     }
 
-    pub(crate) fn location(&self) -> &Location {
-        &self.location
-    }
-
     /// Splits into place, expectation and finding.
     pub(crate) fn into_parts(self) -> (Location, String, String) {
         (self.location, self.expected, self.found)
@@ -209,7 +211,7 @@ impl Fault {
     pub(crate) fn in_file(self, file: &Path) -> FormatError {
         let Self { location, expected, found } = self;
         let [expected, found] = [expected, found].map(|text| one_line(&text).into_owned());
-        FormatError::Content { file: file.to_owned(), location, expected, found }
+        FormatError::Content { file: file.to_owned(), fault: Self { location, expected, found } }
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod activation;
 mod archive;
+mod attribute;
 mod blender;
 mod blocks;
 mod cameras;
@@ -40,10 +41,11 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
+pub use attribute::Attribute;
 pub use cameras::{CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, frame_count, picture_names};
-pub use content::{NotedSplats, ReadOptions};
+pub use content::{ReadOptions, SplatFile};
 pub use detect::detect;
-pub use error::{FormatError, Location, one_line, some_of};
+pub use error::{Fault, FormatError, Location, one_line, some_of};
 pub use exchange::{Sharing, sharing};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
 pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};

@@ -5,9 +5,8 @@ use std::path::Path;
 use super::cameras::{ADVICE, CameraFile, Sampling};
 use super::content::Content;
 use super::error::{Fault, NO_CAMERAS};
-use super::ply::{Attribute, PlySplats};
-use super::{Format, FormatError, NotedSplats, ReadOptions, detect, gltf, ksplat, ply, sog, splat, spz, usd};
-use crate::scene::{Camera, Composition, HybridScene, Splats};
+use super::{Attribute, Format, FormatError, ReadOptions, SplatFile, detect, gltf, ksplat, ply, sog, splat, spz, usd};
+use crate::scene::{Camera, Composition, HybridScene};
 
 /// What a file says about a scene, which is in the frame of captures: x to the right, y down, z forward, as COLMAP, INRIA's `.ply` and
 /// [`HybridScene`] have it, whatever the frame of the file.
@@ -53,27 +52,22 @@ impl SceneFile {
         }
     }
 
-    fn of_splats(splats: Splats) -> Self {
-        Self::new(Content {
-            scene: HybridScene { splats, meshes: vec![], composition: Composition::default() },
+    fn of_splats(SplatFile { splats, pixel_filter, attributes, notes, dropped }: SplatFile) -> Self {
+        let composition = Composition { pixel_filter, ..Composition::default() };
+        let content = Content {
+            scene: HybridScene { splats, meshes: vec![], composition },
             states_composition: false,
             cameras: vec![],
-            notes: vec![],
+            notes,
             y_up: false,
             record: None,
-        })
-    }
-
-    fn noted(NotedSplats { splats, pixel_filter, notes }: NotedSplats) -> Self {
-        let mut file = Self { notes, ..Self::of_splats(splats) };
-        file.scene.composition.pixel_filter = pixel_filter;
-        file
-    }
-
-    fn of_ply(PlySplats { splats, attributes, pixel_filter, notes, dropped }: PlySplats) -> Self {
-        Self { attributes, dropped, ..Self::noted(NotedSplats { splats, pixel_filter, notes }) }
+        };
+        Self { attributes, dropped, ..Self::new(content) }
     }
 }
+
+/// Reader of a format of splats alone.
+type ReadSplats = fn(&Path, &ReadOptions<'_>) -> Result<SplatFile, FormatError>;
 
 /// Reads a hybrid scene from a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, or splats alone from a `.ply` (INRIA
 /// or compressed), `.sog`, `.spz`, `.splat` or `.ksplat`. Formats are recognised by content, see [`detect()`].
@@ -100,27 +94,23 @@ pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, Fo
         let expected = "a .glb or .gltf, whose animations can be evaluated at a time";
         return Err(Fault::whole(expected, format.name()).in_file(path));
     }
-    match format {
-        Format::Glb | Format::Gltf => read_gltf(path, options),
-        Format::Usda | Format::Usdc | Format::Usdz => usd::read(path).map(SceneFile::new),
-        Format::Ply | Format::CompressedPly => ply::read_with(path, options).map(SceneFile::of_ply),
-        Format::Sog => sog::read_noted(path).map(SceneFile::noted),
-        Format::Spz => spz::read_noted(path).map(SceneFile::noted),
-        Format::Splat => read_splat(path, options),
-        Format::Ksplat => ksplat::read(path).map(SceneFile::of_splats),
+    let read_splats: ReadSplats = match format {
+        Format::Glb | Format::Gltf => return read_gltf(path, options),
+        Format::Usda | Format::Usdc | Format::Usdz => return usd::read(path).map(SceneFile::new),
+        Format::Ply | Format::CompressedPly => ply::read_with,
+        Format::Sog => sog::read_with,
+        Format::Spz => spz::read_with,
+        Format::Splat => splat::read_with,
+        Format::Ksplat => ksplat::read_with,
         // Never detected.
-        Format::Mitsuba | Format::BlendScript => Err(Fault::whole("a scene", format.name()).in_file(path)),
-    }
+        Format::Mitsuba | Format::BlendScript => return Err(Fault::whole("a scene", format.name()).in_file(path)),
+    };
+    read_splats(path, options).map(SceneFile::of_splats)
 }
 
 fn read_gltf(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
     let (content, source) = gltf::read(path, options)?;
     Ok(SceneFile { source: Some(source), ..SceneFile::new(content) })
-}
-
-fn read_splat(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, FormatError> {
-    let (splats, dropped) = splat::read_with(path, options)?;
-    Ok(SceneFile { dropped: Some(dropped), ..SceneFile::of_splats(splats) })
 }
 
 /// Reads the cameras of a `.glb`, `.gltf`, `.usda`, `.usdc` or `.usdz` file, ignoring other content. An animated camera

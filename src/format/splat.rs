@@ -20,7 +20,7 @@ use super::blocks::{in_waves, read_in_blocks};
 use super::error::{Fault, Location, open_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::{DROPPING, SplatRecord, color_bytes, dc_of_bytes, log_of_scale, logit_of_byte, opacity_byte};
-use super::{FormatError, ReadOptions, activation, atomic_write_with};
+use super::{FormatError, ReadOptions, SplatFile, activation, atomic_write_with};
 use crate::scene::{SceneError, SplatArrays, Splats};
 
 const BYTES: usize = 32;
@@ -33,7 +33,16 @@ const ROWS: usize = 1 << 14;
 /// If the file cannot be read, its length is not a multiple of 32, or it holds negative scales or values that
 /// [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    Ok(read_with(path, &ReadOptions::default())?.0)
+    read_with(path, &ReadOptions::default()).map(|file| file.splats)
+}
+
+/// Same as [`read`], with the number of splats left out, see [`ReadOptions::drop_invalid`]; the file says no more than
+/// splats.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
+    parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 
 /// Writes splats in their own order.
@@ -61,12 +70,7 @@ pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     Ok(WriteReport { bytes, loss, ..WriteReport::default() })
 }
 
-/// Same as [`read`], with the number of splats left out, see [`ReadOptions::drop_invalid`].
-pub(super) fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<(Splats, usize), FormatError> {
-    parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
-}
-
-fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splats, usize), Fault> {
+fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<SplatFile, Fault> {
     let length = file.seek(SeekFrom::End(0)).and_then(|length| file.rewind().map(|()| length));
     let length = length.map_err(|e| Fault::unreadable(0, &e))? as usize;
     let count = length / BYTES;
@@ -86,7 +90,8 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<(Splat
             arrays.extend(rows.len(), |i| splat(rows[i]));
         }
     })?;
-    Ok((arrays.check().map_err(|e| invalid(&mut file, e))?, dropped))
+    let splats = arrays.check().map_err(|e| invalid(&mut file, e))?;
+    Ok(SplatFile { dropped: Some(dropped), ..SplatFile::new(splats, false, vec![]) })
 }
 
 /// What is wrong with a splat that no scene holds, as it is stored.
@@ -152,7 +157,7 @@ mod tests {
     use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_splats};
 
     fn parse(bytes: &[u8]) -> Result<Splats, Fault> {
-        super::parse(Cursor::new(bytes), false).map(|(splats, _)| splats)
+        super::parse(Cursor::new(bytes), false).map(|file| file.splats)
     }
 
     fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
@@ -216,8 +221,8 @@ mod tests {
         bytes[52..56].copy_from_slice(&(-0.5_f32).to_le_bytes());
         let negative = "a.splat: byte 32: expected scales of at least 0, found -0.5 as scale_2 of splat 1";
         assert_eq!(message(&bytes), format!("{negative}{advice}"));
-        let (left, dropped) = super::parse(Cursor::new(&bytes), true).unwrap();
-        assert_eq!((left.len(), dropped), (1, 1), "a negative scale");
+        let left = super::parse(Cursor::new(&bytes), true).unwrap();
+        assert_eq!((left.splats.len(), left.dropped), (1, Some(1)), "a negative scale");
         bytes[28..32].fill(128);
         bytes[52..56].fill(0);
         assert!(message(&bytes).contains("byte 0: expected a non-zero quaternion"), "{}", message(&bytes));

@@ -6,11 +6,10 @@ use rayon::prelude::*;
 
 use super::cameras::{self, CameraFile};
 use super::error::Fault;
-use super::ply::Attribute;
 use super::splat_record::SplatRecord;
 use super::{
-    Format, FormatError, Loss, SplatError, WriteReport, activation, blender, detect, gltf, has_extension, ksplat,
-    mitsuba, ply, sog, splat, spz, usd,
+    Attribute, Format, FormatError, Loss, SplatError, WriteReport, activation, blender, detect, gltf, has_extension,
+    ksplat, mitsuba, ply, sog, splat, spz, usd,
 };
 use crate::atomic;
 use crate::scene::{Camera, Composition, HybridScene, Splats};
@@ -50,21 +49,23 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
     let format = named.ok_or_else(|| of_no_format(path))?;
     let path = if Format::of_path(&place) == named { &place } else { path };
     let (splats, pixel_filter) = (&scene.splats, scene.composition.pixel_filter);
-    let alone = |report: WriteReport| beside_splats(format, scene, options, report);
-    match format {
-        Format::Glb | Format::Gltf => write_gltf(path, scene, options),
-        Format::Usda | Format::Usdz => write_usd(path, scene, options),
-        Format::Ply => ply::write_with(path, splats, options.attributes, pixel_filter)
-            .map(|bytes| alone(WriteReport { bytes, ..WriteReport::default() })),
-        Format::CompressedPly => ply::compressed::write_with(path, splats, pixel_filter).map(alone),
-        Format::Sog => sog::write_with(path, splats, pixel_filter).map(alone),
-        Format::Spz => write_spz(path, scene, options).map(alone),
-        Format::Splat => splat::write(path, splats).map(alone),
-        Format::Ksplat => ksplat::write(path, splats, ksplat::Level::default()).map(alone),
-        Format::Mitsuba => write_mitsuba(path, scene, options),
-        Format::BlendScript => write_blend_script(path, scene, options),
-        Format::Usdc => Err(of_no_format(path)),
-    }
+    let report = match format {
+        Format::Glb | Format::Gltf => return write_gltf(path, scene, options),
+        Format::Usda | Format::Usdz => return write_usd(path, scene, options),
+        Format::Mitsuba => return write_mitsuba(path, scene, options),
+        Format::BlendScript => return write_blend_script(path, scene, options),
+        Format::Usdc => return Err(of_no_format(path)),
+        Format::Ply => ply::write_with(path, splats, options.attributes, pixel_filter),
+        Format::CompressedPly => ply::compressed::write_with(path, splats, pixel_filter),
+        Format::Sog => sog::write_with(path, splats, pixel_filter),
+        Format::Spz => {
+            let antialiased = pixel_filter.normalized;
+            spz::write(path, splats, &spz::Options { antialiased, ..options.spz })
+        }
+        Format::Splat => splat::write(path, splats),
+        Format::Ksplat => ksplat::write(path, splats, ksplat::Level::default()),
+    };
+    report.map(|report| beside_splats(format, scene, options, report))
 }
 
 /// Error for a file whose name is of no format that is written.
@@ -102,11 +103,6 @@ fn write_usd(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Re
     Ok(WriteReport { bytes, loss, beside, ..WriteReport::default() })
 }
 
-fn write_spz(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
-    let antialiased = scene.composition.pixel_filter.normalized;
-    spz::write(path, &scene.splats, &spz::Options { antialiased, ..options.spz })
-}
-
 fn write_mitsuba(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
     let report = mitsuba::write(path, scene, options.cameras)?;
     Ok(exported(report, options.source))
@@ -122,10 +118,7 @@ fn write_blend_script(
     let moving = moving.filter(|_| broken.is_none());
     let mut report = blender::write(path, scene, options.cameras, moving)?;
     report.notes.extend(moving.and_then(|(moving, _)| moving.overruled()));
-    report.notes.extend(broken.map(|fault| {
-        let (location, expected, found) = fault.into_parts();
-        format!("nothing is animated, because an animation is malformed: {location}expected {expected}, found {found}")
-    }));
+    report.notes.extend(broken.map(|fault| format!("nothing is animated, because an animation is malformed: {fault}")));
     Ok(exported(report, options.source.filter(|_| moving.is_none())))
 }
 

@@ -46,20 +46,15 @@ pub use transfer::transfer;
 pub use unwrap::{ChartSpace, UnwrapStats, UnwrappedMesh, WIDEST_GUTTER, unwrap};
 pub use visibility::{TexelSight, TexelVisibility, texel_visibility};
 
+use crate::scene::SceneError;
+
 /// Error of making or unwrapping a surface.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GeometryError {
-    /// An invalid argument: its name, what is accepted, what was given.
-    #[error("{field}: expected {expected}, found {found}")]
-    Argument {
-        /// Name of the argument, with an index where one element is at fault.
-        field: String,
-        /// What is accepted.
-        expected: String,
-        /// What was given.
-        found: String,
-    },
+    /// An argument is not valid.
+    #[error(transparent)]
+    Argument(SceneError),
     /// The fused volume would exceed its memory limit.
     #[error(
         "fusion: expected the surface to fit in {limit_mib} MiB of voxels, found more after {views} views with {resolution} voxels \
@@ -96,7 +91,7 @@ pub enum GeometryError {
 
 impl GeometryError {
     fn argument(field: impl Into<String>, expected: impl Into<String>, found: &dyn Display) -> Self {
-        Self::Argument { field: field.into(), expected: expected.into(), found: found.to_string() }
+        Self::Argument(SceneError::new(field, expected, found.to_string()))
     }
 }
 

@@ -352,7 +352,7 @@ fn unbounded_scenes_are_fused_in_contracted_space() {
 #[test]
 fn refuses_what_makes_no_sense() {
     let good = fused_sphere(&[], 0.1).options;
-    let refused = |options| matches!(Fusion::new(options), Err(GeometryError::Argument { .. }));
+    let refused = |options| matches!(Fusion::new(options), Err(GeometryError::Argument(_)));
     assert!(refused(FusionOptions { voxel: 0.0, ..good }));
     assert!(refused(FusionOptions { voxel: f64::NAN, ..good }));
     assert!(refused(FusionOptions { voxel: 1e-9, ..good }));

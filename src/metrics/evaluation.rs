@@ -3,8 +3,8 @@ use std::fmt;
 use image::Rgb32FImage;
 use serde::Serialize;
 
-use super::{Lpips, LpipsScore, MetricError, flip, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
-use crate::scene::HybridScene;
+use super::{Lpips, LpipsScore, flip, psnr, quantised, ssim_inria, ssim_reflect, ssim_valid};
+use crate::scene::{HybridScene, SceneError};
 
 /// Image-quality scores of one render, or their mean over several. Each score names its convention; scores of different
 /// conventions are not comparable.
@@ -31,7 +31,7 @@ impl Scores {
     ///
     /// # Errors
     /// If the sizes differ, the images are empty, or too small for the network of `lpips`.
-    pub fn new(truth: &Rgb32FImage, render: &Rgb32FImage, lpips: Option<&Lpips>) -> Result<Self, MetricError> {
+    pub fn new(truth: &Rgb32FImage, render: &Rgb32FImage, lpips: Option<&Lpips>) -> Result<Self, SceneError> {
         let psnr_float = psnr(truth, render)?;
         let (truth, render) = (quantised(truth), quantised(render));
         Ok(Self {
@@ -126,7 +126,7 @@ impl ViewScore {
         render: &Rgb32FImage,
         masked: bool,
         lpips: Option<&Lpips>,
-    ) -> Result<Self, MetricError> {
+    ) -> Result<Self, SceneError> {
         let scores = Scores::new(truth, render, lpips)?;
         Ok(Self { name: name.to_owned(), size: [truth.width(), truth.height()], scores, masked })
     }

@@ -1,7 +1,8 @@
 use image::Rgb32FImage;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8};
 
-use super::{MetricError, check_least, check_same_size, to_rgb8};
+use super::{check_least, check_same_size, to_rgb8};
+use crate::scene::SceneError;
 
 /// FLIP (Andersson et al. 2020): the difference an observer perceives when alternating between two images, from 0
 /// (none) to 1, averaged over pixels. On 8-bit sRGB images at 67 pixels per degree, the default of NVIDIA's program.
@@ -9,7 +10,7 @@ use super::{MetricError, check_least, check_same_size, to_rgb8};
 ///
 /// # Errors
 /// If the sizes differ or the images are empty.
-pub fn flip(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
+pub fn flip(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, SceneError> {
     check_same_size(truth, render)?;
     check_least("FLIP", 1, truth.dimensions())?;
     let [truth, render] =

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{MetricError, check_least, check_same_size};
+use super::{check_least, check_same_size};
 use crate::scene::SceneError;
 
 /// Mean and standard deviation, for images from −1 to 1, of the colours on which the networks were trained.
@@ -84,16 +84,12 @@ pub enum LpipsError {
         source: std::io::Error,
     },
     /// A tensor or the header is missing or not as expected.
-    #[error("{}: {at}: expected {expected}, found {found}", file.display())]
+    #[error("{}: {source}", file.display())]
     Content {
         /// Path of the file.
         file: PathBuf,
-        /// Name of the tensor, or `header`.
-        at: String,
-        /// Expected content.
-        expected: String,
-        /// Content found.
-        found: String,
+        /// What is wrong with a tensor, or with the `header`.
+        source: SceneError,
     },
 }
 
@@ -178,13 +174,8 @@ impl Lpips {
     /// # Errors
     /// If the file cannot be read, or a tensor is missing, has another shape or type, or holds a non-finite value.
     pub fn open(file: &Path) -> Result<Self, LpipsError> {
-        let source = File::open(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
-        Self::read(source).map_err(|SceneError { field: at, expected, found }| LpipsError::Content {
-            file: file.to_owned(),
-            at,
-            expected,
-            found,
-        })
+        let content = File::open(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
+        Self::read(content).map_err(|source| LpipsError::Content { file: file.to_owned(), source })
     }
 
     fn read(source: impl Read + Seek) -> Result<Self, SceneError> {
@@ -223,7 +214,7 @@ impl Lpips {
     ///
     /// # Errors
     /// If a side is shorter than 16 (VGG) or 31 (Alex) pixels.
-    pub fn check_size(&self, size: (u32, u32)) -> Result<(), MetricError> {
+    pub fn check_size(&self, size: (u32, u32)) -> Result<(), SceneError> {
         check_least("LPIPS", self.net.least(), size)
     }
 
@@ -231,7 +222,7 @@ impl Lpips {
     ///
     /// # Errors
     /// If the sizes differ or a side is shorter than 16 (VGG) or 31 (Alex) pixels.
-    pub fn score(&self, truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<LpipsScore, MetricError> {
+    pub fn score(&self, truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<LpipsScore, SceneError> {
         let total = |range| self.distances(truth, render, range).map(|d| d.iter().sum());
         Ok(LpipsScore {
             net: self.net,
@@ -249,7 +240,7 @@ impl Lpips {
         truth: &Rgb32FImage,
         render: &Rgb32FImage,
         range: LpipsRange,
-    ) -> Result<Vec<f64>, MetricError> {
+    ) -> Result<Vec<f64>, SceneError> {
         check_same_size(truth, render)?;
         self.check_size(truth.dimensions())?;
         let (mut a, mut b) = (Features::of(truth, range), Features::of(render, range));

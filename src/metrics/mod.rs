@@ -24,40 +24,23 @@ pub use picture::side_by_side;
 pub use psnr::{psnr, quantised, to_rgb8};
 pub use ssim::{ssim_inria, ssim_reflect, ssim_valid};
 
-/// Two images that cannot be compared.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum MetricError {
-    /// The images differ in size.
-    #[error("render: expected {}×{} pixels as in the photograph, found {}×{}", expected.0, expected.1, found.0, found.1)]
-    Size {
-        /// Width and height of the photograph.
-        expected: (u32, u32),
-        /// Width and height of the render.
-        found: (u32, u32),
-    },
-    /// An image is smaller than the metric's window allows.
-    #[error("{metric}: expected images of at least {least}×{least} pixels, found {}×{}", found.0, found.1)]
-    Small {
-        /// Name of the metric.
-        metric: &'static str,
-        /// Smallest side that the metric supports.
-        least: u32,
-        /// Width and height found.
-        found: (u32, u32),
-    },
-}
+use crate::scene::SceneError;
 
-fn check_same_size(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<(), MetricError> {
-    if truth.dimensions() == render.dimensions() {
+/// Checks that a render has the size of its photograph.
+fn check_same_size(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<(), SceneError> {
+    let (expected, found) = (truth.dimensions(), render.dimensions());
+    if found == expected {
         return Ok(());
     }
-    Err(MetricError::Size { expected: truth.dimensions(), found: render.dimensions() })
+    let expected = format!("{}×{} pixels as in the photograph", expected.0, expected.1);
+    Err(SceneError::new("render", expected, format!("{}×{}", found.0, found.1)))
 }
 
-fn check_least(metric: &'static str, least: u32, found: (u32, u32)) -> Result<(), MetricError> {
-    if found.0.min(found.1) >= least {
+/// Checks that an image has the least side that a metric supports.
+fn check_least(metric: &str, least: u32, (width, height): (u32, u32)) -> Result<(), SceneError> {
+    if width.min(height) >= least {
         return Ok(());
     }
-    Err(MetricError::Small { metric, least, found })
+    let expected = format!("images of at least {least}×{least} pixels");
+    Err(SceneError::new(metric, expected, format!("{width}×{height}")))
 }

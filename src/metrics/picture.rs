@@ -1,6 +1,7 @@
 use image::{Rgb, Rgb32FImage, RgbImage, imageops};
 
-use super::{MetricError, check_same_size, to_rgb8};
+use super::{check_same_size, to_rgb8};
+use crate::scene::SceneError;
 
 /// Factor that makes errors visible: a difference of 1/4 has full brightness.
 const ERROR_GAIN: f32 = 4.0;
@@ -12,7 +13,7 @@ const INK: Rgb<u8> = Rgb([40; 3]);
 ///
 /// # Errors
 /// If the sizes differ.
-pub fn side_by_side(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<RgbImage, MetricError> {
+pub fn side_by_side(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<RgbImage, SceneError> {
     check_same_size(truth, render)?;
     let mut error = truth.clone();
     for (e, r) in error.iter_mut().zip(render.iter()) {

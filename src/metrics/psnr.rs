@@ -1,14 +1,14 @@
 use image::{Rgb32FImage, RgbImage};
 
-use super::{MetricError, check_least, check_same_size};
-use crate::scene::color::to_byte;
+use super::{check_least, check_same_size};
+use crate::scene::{SceneError, color::to_byte};
 
 /// Peak signal-to-noise ratio in dB, −10·log₁₀ of the mean squared error over all pixels and channels (peak 1).
 /// Infinite for equal images, NaN if a value is NaN.
 ///
 /// # Errors
 /// If the sizes differ or the images are empty.
-pub fn psnr(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
+pub fn psnr(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, SceneError> {
     check_same_size(truth, render)?;
     check_least("PSNR", 1, truth.dimensions())?;
     let squares: f64 = truth.iter().zip(render.iter()).map(|(&t, &r)| (f64::from(t) - f64::from(r)).powi(2)).sum();

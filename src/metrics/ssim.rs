@@ -1,7 +1,8 @@
 use image::Rgb32FImage;
 use rayon::prelude::*;
 
-use super::{MetricError, check_least, check_same_size};
+use super::{check_least, check_same_size};
+use crate::scene::SceneError;
 
 /// Radius of the 11-tap window of Wang et al. 2004.
 const RADIUS: usize = 5;
@@ -17,7 +18,7 @@ const C2: f64 = 9e-4;
 ///
 /// # Errors
 /// If the sizes differ or the images are empty.
-pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
+pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, SceneError> {
     check_least("SSIM", 1, truth.dimensions())?;
     ssim(truth, render, Border::Zero)
 }
@@ -27,7 +28,7 @@ pub fn ssim_inria(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
 ///
 /// # Errors
 /// If the sizes differ or a side is shorter than the window of 11 pixels.
-pub fn ssim_valid(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
+pub fn ssim_valid(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, SceneError> {
     check_least("SSIM (valid)", TAPS as u32, truth.dimensions())?;
     ssim(truth, render, Border::Valid)
 }
@@ -36,7 +37,7 @@ pub fn ssim_valid(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, Metr
 ///
 /// # Errors
 /// If the sizes differ or a side is shorter than 6 pixels.
-pub fn ssim_reflect(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, MetricError> {
+pub fn ssim_reflect(truth: &Rgb32FImage, render: &Rgb32FImage) -> Result<f64, SceneError> {
     check_least("SSIM (reflect)", RADIUS as u32 + 1, truth.dimensions())?;
     ssim(truth, render, Border::Reflect)
 }
@@ -72,7 +73,7 @@ impl Border {
 }
 
 /// Mean SSIM over the channels; the caller has checked that at least one window fits.
-fn ssim(truth: &Rgb32FImage, render: &Rgb32FImage, border: Border) -> Result<f64, MetricError> {
+fn ssim(truth: &Rgb32FImage, render: &Rgb32FImage, border: Border) -> Result<f64, SceneError> {
     check_same_size(truth, render)?;
     let (width, height) = (truth.width() as usize, truth.height() as usize);
     let channel = |image: &Rgb32FImage, c: usize| -> Vec<f64> {

@@ -66,16 +66,12 @@ pub enum CheckpointError {
         source: io::Error,
     },
     /// The content is not valid.
-    #[error("{}: {field}: expected {expected}, found {found}", path.display())]
+    #[error("{}: {source}", path.display())]
     Invalid {
         /// The file.
         path: PathBuf,
-        /// The part at fault.
-        field: String,
-        /// What is expected there.
-        expected: String,
-        /// What was found there.
-        found: String,
+        /// The part at fault, and what is wrong with it.
+        source: SceneError,
     },
 }
 
@@ -88,7 +84,7 @@ struct Header {
 
 /// Error constructor for the checkpoint at `path`, read or about to be written.
 fn invalid(path: &Path) -> impl Fn(SceneError) -> CheckpointError {
-    |SceneError { field, expected, found }| CheckpointError::Invalid { path: path.into(), field, expected, found }
+    |source| CheckpointError::Invalid { path: path.into(), source }
 }
 
 impl Checkpoint {

@@ -76,8 +76,8 @@ impl HybridScene {
     }
 }
 
-/// Error for a value that is not valid in a scene, nor in the options, checkpoints and weights that scenes come from:
-/// the field, and what is wrong with it.
+/// Error for a value that is not as expected in a scene, in the options, arguments, checkpoints and weights that scenes
+/// come from, or in images that are compared: the field, and what is wrong with it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct SceneError {

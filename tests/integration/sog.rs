@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use crate::common;
-use centaur::format::{NotedSplats, read_scene, sog};
+use centaur::format::{ReadOptions, SplatFile, read_scene, sog};
 use centaur::scene::Splats;
 
 fn data(path: &str) -> PathBuf {
@@ -76,7 +76,8 @@ fn all_levels_of_detail_lie_in_their_bounds() {
 #[test]
 #[ignore = "needs shared data"]
 fn an_index_of_levels_of_which_two_are_missing() {
-    let NotedSplats { splats, notes, .. } = sog::read_noted(&data("playbot/lod-meta.json")).unwrap();
+    let index = data("playbot/lod-meta.json");
+    let SplatFile { splats, notes, .. } = sog::read_with(&index, &ReadOptions::default()).unwrap();
     assert_eq!((splats.len(), notes.len()), (125_000, 1), "{notes:?}");
     let alone = sog::read(&data("playbot/2_0/meta.json")).unwrap();
     assert_eq!(splats.means(), alone.means(), "level 2 is one file");

@@ -1,7 +1,7 @@
 //! Splat codecs on files of other programs. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use crate::common::data;
-use centaur::format::{Loss, NotedSplats, ksplat, ply, splat, spz};
+use centaur::format::{Loss, ReadOptions, SplatFile, ksplat, ply, splat, spz};
 use centaur::scene::{Splats, sh};
 use glam::Vec3;
 
@@ -85,8 +85,8 @@ fn spz_of_three_programs() {
         }
     }
 
-    let NotedSplats { splats, notes, .. } =
-        spz::read_noted(&data("oracle_adobe_usd_plugins/spz/tests/SanitySplats.spz")).unwrap();
+    let path = data("oracle_adobe_usd_plugins/spz/tests/SanitySplats.spz");
+    let SplatFile { splats, notes, .. } = spz::read_with(&path, &ReadOptions::default()).unwrap();
     assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (10, 3, 0));
     assert_eq!(splats.means()[4], Vec3::new(0.0, -0.800_048_8, -0.800_048_8));
 }

@@ -102,9 +102,9 @@ pub(super) fn stem(output: &Path, suffix: &str) -> String {
 pub(super) fn write(output: &Path, stem: &str, scene: &HybridScene) -> Result<Beside, FormatError> {
     let mut beside = Beside::default();
     if !scene.splats.is_empty() {
-        beside.splats = Some(
-            beside.add(format!("{stem}_splats.ply"), |name| ply::write(&output.with_file_name(name), &scene.splats))?,
-        );
+        beside.splats = Some(beside.add(format!("{stem}_splats.ply"), |name| {
+            ply::write(&output.with_file_name(name), &scene.splats).map(|report| report.bytes)
+        })?);
     }
     for (i, mesh) in scene.meshes.iter().enumerate() {
         let file = format!("{stem}_mesh{i}.ply");

@@ -51,10 +51,7 @@ pub(super) fn read(
     harmonics_bone: usize,
     turn: DMat4,
 ) -> Result<Binding, String> {
-    let said = |fault: Fault| {
-        let (location, expected, found) = fault.into_parts();
-        format!("{location}expected {expected}, found {found}")
-    };
+    let said = |fault: Fault| fault.to_string();
     if object.frame != "edgeNormal" {
         return Err(format!("expected a frame edgeNormal, found `{}`", object.frame));
     }

@@ -370,8 +370,7 @@ fn placed_from(
             Some((texels, uv))
         }
         Err(fault) => {
-            let (location, expected, found) = fault.into_parts();
-            notes.push(format!("{at} is left out: {location}expected {expected}, found {found}"));
+            notes.push(format!("{at} is left out: {fault}"));
             None
         }
     }

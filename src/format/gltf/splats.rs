@@ -12,7 +12,7 @@ use super::extension::{
 use super::lift::Asset;
 use crate::format::error::{Fault, from_value, shown};
 use crate::format::placed::place;
-use crate::format::{NotedSplats, activation, spz};
+use crate::format::{SplatFile, activation, spz};
 use crate::scene::{ColorSpace, SplatArrays, sh};
 
 /// Splats of a primitive, before a node's transform.
@@ -114,7 +114,7 @@ fn decompress(
         let at = format!("{at}/bufferView");
         Fault::pointer(at, format!("a bufferView below {views}"), stream.buffer_view.to_string())
     })?;
-    let NotedSplats { splats, pixel_filter, notes: found } =
+    let SplatFile { splats, pixel_filter, notes: found, .. } =
         spz::parse(&asset.view_bytes(&view)?).map_err(|fault| {
             let (location, expected, found) = fault.into_parts();
             Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))

@@ -131,11 +131,9 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let (scene, stated, cameras, mut warnings) = match scene {
                 Ok(file) => (file.scene, file.states_composition, file.cameras, file.notes),
                 Err(fault) => {
-                    let (location, expected, found) = fault.into_parts();
                     let none =
                         HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
-                    let warning = format!("cannot be read as a scene: {location}expected {expected}, found {found}");
-                    (none, false, vec![], vec![warning])
+                    (none, false, vec![], vec![format!("cannot be read as a scene: {fault}")])
                 }
             };
             warnings.extend(unknown_properties(&asset.root));

@@ -22,7 +22,7 @@ use std::path::Path;
 
 use super::error::{Fault, open_file};
 use super::loss::{Loss, WriteReport};
-use super::{FormatError, atomic_write_with};
+use super::{FormatError, ReadOptions, SplatFile, atomic_write_with};
 use crate::scene::Splats;
 
 /// Bytes of the file header.
@@ -77,7 +77,16 @@ impl Level {
 /// If the file cannot be read, is not a `.ksplat`, is truncated, contradicts itself, or holds values that
 /// [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    decode::decode(open_file(path)?).map_err(|fault| fault.in_file(path))
+    read_with(path, &ReadOptions::default()).map(|file| file.splats)
+}
+
+/// Same as [`read`]: the file says no more than splats, and no option applies to it.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
+    let splats = decode::decode(open_file(path)?).map_err(|fault| fault.in_file(path))?;
+    Ok(SplatFile::new(splats, false, vec![]))
 }
 
 /// Writes splats: in their own order at level 0, bucket by bucket at other levels.

@@ -1,7 +1,6 @@
 //! PLY files: INRIA's splat layout (`save_ply` in `scene/gaussian_model.py`), that of `PlayCanvas`, and coloured
 //! points.
 
-mod attribute;
 pub mod compressed;
 pub(crate) mod table;
 
@@ -12,21 +11,22 @@ use std::path::Path;
 use glam::{DVec3, Quat, Vec3};
 use serde::Serialize;
 
-pub use self::attribute::Attribute;
-use self::table::{Body, Column, Element, Header, Scalar};
+use self::table::{Body, Column, Element, Header};
+use super::attribute::{Attribute, Scalar};
 use super::blocks::in_waves;
 use super::error::{Fault, FormatError, open_file, shown};
+use super::loss::WriteReport;
 use super::splat_record::{DROPPING, SEEN_IN_3D, SplatRecord};
-use super::{ReadOptions, activation, atomic_write_with};
+use super::{ReadOptions, SplatFile, activation, atomic_write_with};
 use crate::scene::{PixelFilter, SceneError, SplatArrays, Splats, sh, smoothed_parameters};
 
 /// Writes splats in the INRIA layout with (zero) normals: binary little endian, float32. `opacity` is a logit, `scale`
 /// a natural logarithm, `f_rest` channel-major, `rot` (w, x, y, z). Frame and colour space are the scene's own, which
-/// the format cannot state. Returns the file's size in bytes.
+/// the format cannot state. Nothing of the splats is lost.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write(path: &Path, splats: &Splats) -> Result<u64, FormatError> {
+pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
     write_with(path, splats, &[], PixelFilter::DILATION)
 }
 
@@ -41,7 +41,7 @@ pub fn write_with(
     splats: &Splats,
     attributes: &[Attribute],
     pixel_filter: PixelFilter,
-) -> Result<u64, FormatError> {
+) -> Result<WriteReport, FormatError> {
     if let Some(a) = attributes.iter().find(|a| a.values.len() != splats.len()) {
         let expected = format!("{} values of the attribute `{}`", splats.len(), a.name);
         return Err(Fault::whole(expected, a.values.len().to_string()).in_file(path));
@@ -52,7 +52,7 @@ pub fn write_with(
         .chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].map(str::to_owned));
     let names = names.map(|name| ("float", name)).chain(attributes.iter().map(|a| (a.kind.name(), a.name.clone())));
     let properties: String = names.map(|(kind, name)| format!("property {kind} {name}\n")).collect();
-    atomic_write_with(path, |out| {
+    let bytes = atomic_write_with(path, |out| {
         let comments = filter_comments(pixel_filter);
         let count = splats.len();
         write!(
@@ -65,7 +65,8 @@ pub fn write_with(
             |i| encode_rows(splats, attributes, block(i)),
             |rows| out.write_all(&rows),
         )
-    })
+    })?;
+    Ok(WriteReport { bytes, ..WriteReport::default() })
 }
 
 /// Start of the comment that states the variance of a pixel filter.
@@ -113,33 +114,18 @@ fn encode_rows(splats: &Splats, attributes: &[Attribute], rows: Range<usize>) ->
 /// # Errors
 /// If the file cannot be read, is not such a PLY, is truncated, or holds values that [`Splats::new`] rejects.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    parse_splats(open_file(path)?).map_err(|fault| fault.in_file(path))
+    read_with(path, &ReadOptions::default()).map(|file| file.splats)
 }
 
-/// Splats and further content of a PLY.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlySplats {
-    /// The splats.
-    pub splats: Splats,
-    /// Properties other than parameters, each with one value per splat.
-    pub attributes: Vec<Attribute>,
-    /// Pixel filter with which the splats were trained: [`PixelFilter::MIP`] if Mip-Splatting's `filter_3D` is present
-    /// or Brush states it, [`PixelFilter::NORMALIZED_DILATION`] if others do, and exactly the stated one if Centaur
-    /// wrote the file.
-    pub pixel_filter: PixelFilter,
-    /// Notes on further content of the file, and on content merged into the splats, one sentence each.
-    pub notes: Vec<String>,
-    /// Number of rows left out, see [`ReadOptions::drop_invalid`]; `None` for a compressed file, which is read entirely
-    /// or not at all.
-    pub dropped: Option<usize>,
-}
-
-/// Same as [`read`], with all other scalar properties of the splats except normals. Non-zero normals are noted, as are
-/// positions in double precision that lose more than a millionth of the scene's size.
+/// Same as [`read`], with what the file says besides: all other scalar properties of the splats except normals as
+/// attributes, unless the file is compressed, and the pixel filter. It is [`PixelFilter::MIP`] if Mip-Splatting's
+/// `filter_3D` is present or Brush states it, [`PixelFilter::NORMALIZED_DILATION`] if others do, and exactly the stated
+/// one if Centaur wrote the file. Notes are on further content, on what is merged into the splats, on non-zero normals,
+/// and on positions in double precision that lose more than a millionth of the scene's size.
 ///
 /// # Errors
 /// Those of [`read`].
-pub fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<PlySplats, FormatError> {
+pub fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 
@@ -215,14 +201,14 @@ pub(super) fn parse_splats(file: impl BufRead + Seek + Send) -> Result<Splats, F
     parse(file, false).map(|file| file.splats)
 }
 
-fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySplats, Fault> {
+fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<SplatFile, Fault> {
     let (header, mut body) = table::open(file)?;
     header.repeated_property().map_or(Ok(()), Err)?;
     let mut notes = left_out(&header);
     let pixel_filter = pixel_filter_of(&header, &mut notes);
     if compressed::is_compressed(&header) {
         let splats = compressed::parse(&header, &mut body)?;
-        return Ok(PlySplats { splats, attributes: vec![], pixel_filter, notes, dropped: None });
+        return Ok(SplatFile { splats, attributes: vec![], pixel_filter, notes, dropped: None });
     }
     let vertex = header.required("vertex")?;
     of_something_else(&header, vertex).map_or(Ok(()), Err)?;
@@ -255,7 +241,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     }
     let rest_names: Vec<String> = (0..rest.len()).map(|i| format!("f_rest_{i}")).collect();
     let parameters: Vec<&str> = PARAMETERS.into_iter().chain(rest_names.iter().map(String::as_str)).collect();
-    let (mut attributes, extra) = attribute::of_header(vertex, &parameters);
+    let (mut attributes, extra) = further_attributes(vertex, &parameters);
 
     let decode = |row: &[u8]| {
         let v = |column: Column| column.f32(row);
@@ -319,7 +305,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
     if rounding > 1e-6 * diagonal(splats.means()) {
         notes.push(format!("double-precision positions are rounded to single precision, by {rounding:.1e} at most"));
     }
-    Ok(PlySplats { splats, attributes, pixel_filter, notes, dropped: Some(dropped) })
+    Ok(SplatFile { splats, attributes, pixel_filter, notes, dropped: Some(dropped) })
 }
 
 /// What is wrong with a splat that no scene holds: where its row begins, and as the validator says it, by row and property, of which `parameters`
@@ -327,7 +313,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<PlySpla
 fn invalid(header: &Header, body: &mut Body<impl BufRead + Seek>, parameters: &[&str], error: SceneError) -> Fault {
     let fault = Fault::from(error);
     let Some((field, row)) = fault.element() else { return fault };
-    let at = body.locate(header, "vertex", |i| i, fault.clone()).location().clone();
+    let at = body.locate(header, "vertex", |i| i, fault.clone()).location;
     let (_, expected, found) = fault.into_parts();
     let fault = match not_finite(header, body, parameters, row) {
         Some((name, value)) => Fault::at(at, "finite numbers", format!("{value} in row {row} of `{name}`")),
@@ -483,6 +469,14 @@ fn left_out(header: &Header) -> Vec<String> {
         }
     }
     notes
+}
+
+/// Scalar properties of `vertex` other than `parameters` and normals (which carry no information), without values, and
+/// their columns.
+fn further_attributes(vertex: &Element, parameters: &[&str]) -> (Vec<Attribute>, Vec<Column>) {
+    let is_extra = |name: &str| !["nx", "ny", "nz"].contains(&name) && !parameters.contains(&name);
+    let extra = vertex.scalar_properties().filter(|(_, name, _)| is_extra(name));
+    extra.map(|(column, name, kind)| (Attribute { name: name.to_owned(), kind, values: vec![] }, column)).unzip()
 }
 
 /// Columns of `f_rest_0`, `f_rest_1`, …

@@ -6,6 +6,7 @@ use std::io::{self, BufRead, Read as _, Seek, SeekFrom};
 
 pub(crate) use self::rows::Body;
 use super::Table;
+use crate::format::attribute::Scalar;
 use crate::format::error::{Fault, shown};
 
 /// Longest header that is read. A header with a thousand properties takes 30 kB.
@@ -51,72 +52,6 @@ enum Encoding {
     Ascii,
     Little,
     Big,
-}
-
-/// Type of a property.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    /// Name of the type in headers of PLY 1.0.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::I8 => "char",
-            Self::U8 => "uchar",
-            Self::I16 => "short",
-            Self::U16 => "ushort",
-            Self::I32 => "int",
-            Self::U32 => "uint",
-            Self::F32 => "float",
-            Self::F64 => "double",
-        }
-    }
-
-    /// Appends a value of this type, little endian.
-    pub(crate) fn encode(self, value: f64, out: &mut Vec<u8>) {
-        match self {
-            Self::I8 => out.extend((value as i8).to_le_bytes()),
-            Self::U8 => out.extend((value as u8).to_le_bytes()),
-            Self::I16 => out.extend((value as i16).to_le_bytes()),
-            Self::U16 => out.extend((value as u16).to_le_bytes()),
-            Self::I32 => out.extend((value as i32).to_le_bytes()),
-            Self::U32 => out.extend((value as u32).to_le_bytes()),
-            Self::F32 => out.extend((value as f32).to_le_bytes()),
-            Self::F64 => out.extend(value.to_le_bytes()),
-        }
-    }
-
-    pub(super) fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
 }
 
 impl Element {

@@ -8,9 +8,9 @@ use crate::format::test_scenes::random_splats;
 fn written(splats: &Splats) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.ply");
-    let bytes = write(&path, splats).unwrap();
+    let report = write(&path, splats).unwrap();
     let content = std::fs::read(&path).unwrap();
-    assert_eq!(bytes, content.len() as u64);
+    assert_eq!(report.bytes, content.len() as u64);
     content
 }
 

@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 use super::files::FileSet;
 use super::left_out;
 use crate::atomic::folder_of;
-use crate::format::NotedSplats;
+use crate::format::SplatFile;
 use crate::format::error::{Fault, FormatError, file_bytes, from_json, read_file, shown};
 use crate::format::inside::inside;
 use crate::format::splat_record::SplatRecord;
@@ -77,7 +77,7 @@ pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
 
 /// Reads the splats of the finest level; for parts whose file is missing, those of the finest level available. Notes
 /// state, in a sentence each, what is missing, left out or contradictory.
-pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
+pub(super) fn read(path: &Path) -> Result<SplatFile, FormatError> {
     let index = Index::read(path)?;
     let folder = folder_of(path);
     let there: Vec<Option<_>> = index.filenames.iter().map(|name| inside(folder, name).ok()).collect();
@@ -112,7 +112,7 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
             return Err(Fault::pointer(at, "each file once", format!("{found} again")).in_file(path));
         }
         own.sort_by_key(|part| part.offset);
-        let NotedSplats { splats, pixel_filter, notes: said } = set_of(meta)?;
+        let SplatFile { splats, pixel_filter, notes: said, .. } = set_of(meta)?;
         antialiased |= pixel_filter.normalized;
         of_sets.extend(said);
         check_parts(&own, splats.len(), file).map_err(|fault| fault.in_file(path))?;
@@ -120,7 +120,7 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     }
     if let Some(name) = &index.environment {
         let fault = |(expected, found): (String, String)| Fault::pointer("/environment", expected, found).in_file(path);
-        let NotedSplats { splats, pixel_filter, notes: said } = set_of(&inside(folder, name).map_err(fault)?)?;
+        let SplatFile { splats, pixel_filter, notes: said, .. } = set_of(&inside(folder, name).map_err(fault)?)?;
         antialiased |= pixel_filter.normalized;
         of_sets.extend(said);
         let all = Part { file: 0, offset: 0, count: splats.len() };
@@ -134,11 +134,11 @@ pub(super) fn read(path: &Path) -> Result<NotedSplats, FormatError> {
     }
     notes.extend(of_sets);
     let splats = arrays.check().map_err(|e| Fault::from(e).under("/tree").in_file(path))?;
-    Ok(NotedSplats::new(splats, antialiased, notes))
+    Ok(SplatFile::new(splats, antialiased, notes))
 }
 
 /// Splats of one folder or bundle; never of another index, because indices might refer to each other in a cycle.
-fn set_of(path: &Path) -> Result<NotedSplats, FormatError> {
+fn set_of(path: &Path) -> Result<SplatFile, FormatError> {
     FileSet::open(path)?.splats().map_err(|fault| fault.in_file(path))
 }
 
@@ -215,10 +215,10 @@ mod tests {
     fn the_finest_level_that_is_there() {
         let folder = tempfile::tempdir().unwrap();
         let path = written(folder.path());
-        let NotedSplats { splats, notes, .. } = read(&path).unwrap();
+        let SplatFile { splats, notes, .. } = read(&path).unwrap();
         assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (9 + 2, 2, 0));
         std::fs::remove_file(folder.path().join("0_0/meta.json")).unwrap();
-        let NotedSplats { splats, notes, .. } = read(&path).unwrap();
+        let SplatFile { splats, notes, .. } = read(&path).unwrap();
         assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (4 + 2, 2, 1));
         assert!(notes[0].contains("for 2 part(s)"), "{notes:?}");
         std::fs::remove_file(folder.path().join("1_0/meta.json")).unwrap();
@@ -235,7 +235,7 @@ mod tests {
         index["counts"] = json!([6, 4]);
         index["version"] = json!(1);
         std::fs::write(&path, index.to_string()).unwrap();
-        let NotedSplats { splats, notes, .. } = read(&path).unwrap();
+        let SplatFile { splats, notes, .. } = read(&path).unwrap();
         assert_eq!((splats.len(), notes), (6 + 2, vec![]));
         index["counts"] = json!([9, 4]);
         index["camera"] = json!({ "fov": 60 });
@@ -260,7 +260,7 @@ mod tests {
             content["extras"] = json!({ "a": [1, 2.5] });
             std::fs::write(&meta, content.to_string()).unwrap();
         }
-        let NotedSplats { pixel_filter, notes, .. } = read(&path).unwrap();
+        let SplatFile { pixel_filter, notes, .. } = read(&path).unwrap();
         assert!(pixel_filter.normalized);
         assert_eq!(notes, ["`extras` of meta.json: left out"]);
     }

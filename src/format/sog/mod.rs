@@ -22,10 +22,10 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::files::FileSet;
-use super::NotedSplats;
 use super::error::{Fault, FormatError, shown, some_of};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::SplatRecord;
+use super::{ReadOptions, SplatFile};
 use crate::scene::{PixelFilter, Splats};
 
 /// Reads a `.sog` bundle, or a folder of the same files by the path of its `meta.json`. Versions 1 and 2, SH degree 0
@@ -39,15 +39,15 @@ use crate::scene::{PixelFilter, Splats};
 /// other than the number of splats requires, refers beyond its palettes, or declares more splats than files of its size
 /// can describe.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_noted(path).map(|read| read.splats)
+    read_with(path, &ReadOptions::default()).map(|file| file.splats)
 }
 
 /// Same as [`read`], with the pixel filter, and a note each on missing levels of detail and on other content of the
-/// file, such as a camera.
+/// file, such as a camera. No option applies.
 ///
 /// # Errors
 /// Those of [`read`].
-pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
+pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     if path.file_name().is_some_and(|name| name == levels::INDEX) {
         return levels::read(path);
     }
@@ -75,7 +75,7 @@ pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
 }
 
 impl FileSet {
-    fn splats(&mut self) -> Result<NotedSplats, Fault> {
+    fn splats(&mut self) -> Result<SplatFile, Fault> {
         let meta = self.meta()?;
         let scheme = decode::Scheme::parse(&meta, self.bytes()).map_err(|fault| self.in_meta(fault))?;
         let images = scheme.fetch(self)?;
@@ -83,7 +83,7 @@ impl FileSet {
         let (antialiased, of_model) = meta.antialiased();
         let of_rest = left_out(files::META, meta.rest.keys().map(String::as_str));
         let notes = of_model.into_iter().chain(of_rest).collect();
-        Ok(NotedSplats::new(splats.map_err(|fault| self.in_meta(fault))?, antialiased, notes))
+        Ok(SplatFile::new(splats.map_err(|fault| self.in_meta(fault))?, antialiased, notes))
     }
 }
 

@@ -214,7 +214,7 @@ fn antialiasing_is_said_as_every_reader_knows_it() {
     write_with(&path, &random_splats(9, 0, 4), PixelFilter::NORMALIZED_DILATION).unwrap();
     let zip = std::fs::read(&path).unwrap();
     let read = |change: &dyn Fn(&mut Value)| {
-        let NotedSplats { pixel_filter, notes, .. } =
+        let SplatFile { pixel_filter, notes, .. } =
             FileSet::bundle(with_meta(&zip, change)).and_then(|mut set| set.splats()).unwrap();
         (pixel_filter.normalized, notes)
     };

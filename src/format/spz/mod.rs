@@ -30,7 +30,7 @@ use super::blocks::in_waves;
 use super::error::{Fault, read_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::SplatRecord;
-use super::{FormatError, NotedSplats, atomic_write_with};
+use super::{FormatError, ReadOptions, SplatFile, atomic_write_with};
 use crate::scene::{SplatArrays, Splats, sh};
 
 /// File layout.
@@ -70,15 +70,15 @@ impl Default for Options {
 /// If the file cannot be read, is not SPZ, is truncated or damaged, or declares more splats than a file of its length can
 /// hold.
 pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_noted(path).map(|read| read.splats)
+    read_with(path, &ReadOptions::default()).map(|file| file.splats)
 }
 
 /// Same as [`read`], with the pixel filter, and notes on what could not be represented: SH of degree 4, unknown
-/// extensions.
+/// extensions. No option applies.
 ///
 /// # Errors
 /// Those of [`read`].
-pub fn read_noted(path: &Path) -> Result<NotedSplats, FormatError> {
+pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
 }
 
@@ -116,7 +116,7 @@ pub fn write(path: &Path, splats: &Splats, options: &Options) -> Result<WriteRep
     Ok(WriteReport { bytes, loss: Loss { max_error, ..Loss::default() }, ..WriteReport::default() })
 }
 
-pub(super) fn parse(bytes: &[u8]) -> Result<NotedSplats, Fault> {
+pub(super) fn parse(bytes: &[u8]) -> Result<SplatFile, Fault> {
     let Packed { header, frame, streams, mut notes, .. } = container::decode(bytes)?;
     let sh_degree = header.sh_degree.min(sh::MAX_DEGREE);
     if sh_degree < header.sh_degree {
@@ -125,7 +125,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<NotedSplats, Fault> {
     let mut arrays = SplatArrays::with_capacity(header.count, sh_degree);
     let streams = streams.each_ref().map(Vec::as_slice);
     arrays.extend(header.count, |i| frame.to_scene(&packed::decode(&header, streams, i)));
-    Ok(NotedSplats::new(arrays.check()?, header.flags & ANTIALIASED != 0, notes))
+    Ok(SplatFile::new(arrays.check()?, header.flags & ANTIALIASED != 0, notes))
 }
 
 /// Number of splats packed as one task.

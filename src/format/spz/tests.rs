@@ -40,7 +40,7 @@ fn round_trip_stays_within_the_stated_errors() {
             let splats = holdable(3000, degree);
             let (bytes, report) = written(&splats, &Options { version, sh_bits, antialiased: degree == 2 });
             assert_eq!(bytes.len() as u64, report.bytes);
-            let NotedSplats { splats: back, pixel_filter, notes } = parse(&bytes).unwrap();
+            let SplatFile { splats: back, pixel_filter, notes, .. } = parse(&bytes).unwrap();
             assert!(notes.is_empty());
             assert_eq!(pixel_filter.normalized, degree == 2, "the flag");
             assert_same_loss(&report.loss, &Loss::of_splats(&splats, &back));
@@ -88,7 +88,7 @@ fn notes_name_what_is_not_taken_over() {
     content.extend([0x78, 0x56, 0x34, 0x12, 3, 0, 0, 0, 9, 9, 9]);
     content.extend(0xADBE_0003u32.to_le_bytes().into_iter().chain([4, 0, 0, 0, 6, 0, 0, 0]));
     for bytes in [content.clone(), gzipped(&content)] {
-        let NotedSplats { splats, pixel_filter, notes } = parse(&bytes).unwrap();
+        let SplatFile { splats, pixel_filter, notes, .. } = parse(&bytes).unwrap();
         assert_eq!(pixel_filter, PixelFilter::NORMALIZED_DILATION);
         assert_eq!(splats.means()[0].to_array(), [1.0, 2.0, 3.0], "right, down, front as it is");
         assert_eq!((splats.sh_degree(), splats.sh_of(0)[1]), (3, [0.0, 1.0 / 128.0, 2.0 / 128.0]));

@@ -108,8 +108,7 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
         }
     };
     // Reported once if both checks find the same fault.
-    if let Some(fault) = stopped.filter(|fault| !found.iter().any(|breach| breach.fault.location() == fault.location()))
-    {
+    if let Some(fault) = stopped.filter(|fault| !found.iter().any(|breach| breach.fault.location == fault.location)) {
         found.insert(0, Breach { code: "CONTENT", is_error: true, fault });
     }
     found.iter_mut().for_each(|breach| breach.fault = located(breach.fault.clone(), member.as_ref()));

@@ -130,8 +130,8 @@ impl Findings {
     /// Turns a reader's content error into a finding.
     fn content<T>(&mut self, read: Result<T, FormatError>) -> Result<Option<T>, FormatError> {
         match read {
-            Err(FormatError::Content { location, expected, found, .. }) => {
-                self.add(Severity::Error, "CONTENT", location, expected, found);
+            Err(FormatError::Content { fault, .. }) => {
+                self.fault("CONTENT", fault);
                 Ok(None)
             }
             other => other.map(Some),
