@@ -1,4 +1,7 @@
-//! Atomic writing of files: complete or not at all, however the program ends.
+//! Atomic writing of files: complete or not at all, however the program ends; and locks, so that no two processes write
+//! the same.
+
+mod lock;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -7,6 +10,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tempfile::TempDir;
+
+pub use self::lock::{Lock, LockFile};
 
 /// Temporary paths in use, each with the place to which it is to be restored, if any.
 static LISTED: Mutex<BTreeMap<PathBuf, Option<PathBuf>>> = Mutex::new(BTreeMap::new());

@@ -469,6 +469,29 @@ fn what_is_named_often_is_held_once() {
     }
 }
 
+/// Buffers of a GLB are parts of the file, which is in memory as a whole.
+#[test]
+fn a_glb_is_held_once_while_it_is_validated() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let bin = vec![0_u8; 8 << 20];
+    let mut json =
+        format!(r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":{}}}]}}"#, bin.len()).into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let length = |bytes: usize| u32::try_from(bytes).unwrap().to_le_bytes();
+    let chunk = |kind: &[u8], content: &[u8]| [&length(content.len())[..], kind, content].concat();
+    let chunks = [chunk(b"JSON", &json), chunk(b"BIN\0", &bin)].concat();
+    let file = [&b"glTF\x02\0\0\0"[..], &length(12 + chunks.len()), &chunks[..]].concat();
+    std::fs::write(&path, &file).unwrap();
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    let validation = format::validate(&path).unwrap();
+    let peak = MEMORY.peak_usage().saturating_sub(before);
+    assert_eq!(validation.errors, 0, "{validation}");
+    assert!(peak < file.len() + file.len() / 2, "{peak} bytes of memory for a file of {}", file.len());
+}
+
 #[test]
 fn random_bytes() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);

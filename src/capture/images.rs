@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::distortion::{Distortion, Lens};
 use super::photo::Photo;
 use super::{CaptureError, View, error};
-use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
+use crate::format::{MAX_BESIDE_PIXELS, max_pixel_ratio};
 use crate::scene::Intrinsics;
 
 /// Bytes at the start of an image file, which usually contain its size and EXIF.
@@ -138,8 +138,9 @@ fn decoder<'a>(bytes: &'a [u8], length: usize, path: &Path) -> Result<impl Image
         let expected = format!("1 to {} pixels, at most {} a side", Intrinsics::MAX_PIXELS, Intrinsics::MAX_SIDE);
         return Err(CaptureError::invalid(path, "image size", expected, format!("{w}×{h}")));
     }
-    if decoder.total_bytes() / MAX_PIXEL_RATIO > length as u64 {
-        let expected = format!("{w}×{h} pixels in {} bytes", decoder.total_bytes() / MAX_PIXEL_RATIO);
+    let least = decoder.total_bytes() / max_pixel_ratio(bytes);
+    if least > length as u64 {
+        let expected = format!("{w}×{h} pixels in {least} bytes");
         return Err(CaptureError::Truncated { path: path.into(), offset: length, expected });
     }
     Ok(decoder)
@@ -615,6 +616,17 @@ mod tests {
         bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
         let message = photo_of(&bytes, 16, 16, Downscale::Full).unwrap_err().to_string();
         assert!(message.contains("16384×16384 pixels"), "{message}");
+        // Frame headers of a baseline JPEG, and of a progressive one, for which coefficients would be allocated as well.
+        // The comment makes the file as long as a PNG of that size could be.
+        let short = jpeg();
+        let mut bytes = [&short[..2], &[0xff, 0xfe, 4, 0], &[0; 0x3fe], &short[2..]].concat();
+        let frame = bytes.windows(2).position(|marker| marker == [0xff, 0xc0]).unwrap();
+        bytes[frame + 5..frame + 9].copy_from_slice(&[0x10, 0, 0x10, 0]);
+        for kind in [0xc0, 0xc2] {
+            bytes[frame + 1] = kind;
+            let message = photo_of(&bytes, 16, 16, Downscale::Full).unwrap_err().to_string();
+            assert!(message.contains("expected 4096×4096 pixels in 4096 bytes"), "{kind:x}: {message}");
+        }
     }
 
     #[test]

@@ -88,18 +88,18 @@ pub(super) fn run(args: &Args) -> Result<()> {
         !are_swapped,
         format!("expected SCENE CAPTURE, found a capture first: {} {}", args.scene.display(), args.capture.display()),
     )?;
-    let file = read_file(&args.scene, &ReadOptions::default())?;
+    let mut file = read_file(&args.scene, &ReadOptions::default())?;
     let training = file.record.as_ref().and_then(Record::read);
-    drop(file.source);
+    file.source = None;
     let mut notes: Vec<String> = file.notes.iter().map(ToString::to_string).collect();
-    let mut scene = file.scene;
     notes.extend(shared::turned(file.y_up).map(|note| format!("{}: {note}", args.scene.display())));
     if let Some(background) = args.background {
-        scene.composition.background = background.color();
+        file.scene.composition.background = background.color();
     }
     let capture = args.loading.open(&args.capture, true)?;
     // Refused before any note is printed.
     args.output.as_deref().map_or(Ok(()), |folder| report_pictures(folder, &capture).map(drop))?;
+    shared::fit_near(&mut file, held_out(&capture).unwrap_or_default().into_iter().map(|view| &view.camera));
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
@@ -121,7 +121,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let gpu = args.adapter.open()?;
     let evaluation = evaluate(
         &gpu,
-        &scene,
+        &file.scene,
         &capture,
         &Details {
             scene_file: &args.scene,

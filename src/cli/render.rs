@@ -30,11 +30,11 @@ Examples:
   centaur render fox.glb --animation Run --camera side --time 0..1 -o run
   centaur render head.glb --camera front --time 0..4 --fps 25 -o frames --video talk.mp4
   centaur render vase.glb --alpha -o cut-out
-  centaur render garden.glb --layers --exr-type half -o layers
+  centaur render garden.glb --exr-layers --exr-type half -o layers
   centaur render garden.glb --model ray --sh-direction ray -o as-a-ray-tracer-sees-it
 
-Channels of --layers, in the scene's own colour space (`colorSpace` in the header) and without the
-background:
+Channels of --exr-layers, in the scene's own colour space (`colorSpace` in the header) and without
+the background:
   R G B A                     image, premultiplied; A = 1 - visible fraction of the background
   splats.R .G .B .A           contribution of the splats, as far as meshes do not hide it
   mesh.R .G .B .A             contribution of the meshes, as far as splats do not hide it; it adds
@@ -77,7 +77,7 @@ pub(super) struct Args {
     /// Folder for the images, which are named after the cameras
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Format of the images [default: png, with --layers exr]
+    /// Format of the images [default: png, with --exr-layers exr]
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Also encode the PNG images, in order, as a video (H.264, 4:2:0), using the `ffmpeg` on PATH
@@ -105,16 +105,16 @@ struct LookArgs {
     sh_direction: Direction,
     /// Write EXR files with splats, meshes, depth and normals in separate channels (listed below)
     #[arg(long)]
-    layers: bool,
+    exr_layers: bool,
     /// Leave out the background: PNG with straight alpha, EXR with premultiplied alpha
     ///
     /// Where the scene blends in sRGB, as is usual, a PNG composited over a colour in the way of browsers matches the
     /// image rendered over that colour, up to rounding. Only highlights brighter than their alpha, which PNG cannot
-    /// store, get an alpha as high as their brightness. With --layers, images have alpha anyway.
-    #[arg(long, conflicts_with_all = ["layers", "video"])]
+    /// store, get an alpha as high as their brightness. With --exr-layers, images have alpha anyway.
+    #[arg(long, conflicts_with_all = ["exr_layers", "video"])]
     alpha: bool,
     /// Background colour behind the scene [default: as stated by its file, else black]
-    #[arg(long, value_enum, conflicts_with_all = ["layers", "alpha"])]
+    #[arg(long, value_enum, conflicts_with_all = ["exr_layers", "alpha"])]
     background: Option<Backdrop>,
     /// Sample type of EXR files; depths and counts always have 32 bits [default: float]
     #[arg(long, value_enum)]
@@ -177,7 +177,7 @@ impl LookArgs {
 
 impl Args {
     fn format(&self) -> Format {
-        self.format.unwrap_or(if self.look.layers { Format::Exr } else { Format::Png })
+        self.format.unwrap_or(if self.look.exr_layers { Format::Exr } else { Format::Png })
     }
 
     fn is_embedded(&self) -> bool {
@@ -188,8 +188,8 @@ impl Args {
     fn check(&self) -> Result<()> {
         let (look, is_exr) = (&self.look, self.format == Some(Format::Exr));
         usage::demand(
-            !(look.layers && self.format == Some(Format::Png)),
-            "--layers writes EXR files: omit --format png",
+            !(look.exr_layers && self.format == Some(Format::Png)),
+            "--exr-layers writes EXR files: omit --format png",
         )?;
         usage::demand(
             !(self.is_embedded() && self.loading.images.is_some()),
@@ -200,12 +200,12 @@ impl Args {
             "--sh-direction ray needs --model ray: with --model ewa, every splat has one colour",
         )?;
         usage::demand(
-            self.video.is_none() || !(look.layers || is_exr),
-            "--video is made of PNG images: omit --format exr and --layers",
+            self.video.is_none() || !(look.exr_layers || is_exr),
+            "--video is made of PNG images: omit --format exr and --exr-layers",
         )?;
         usage::demand(
-            look.layers || is_exr || (look.exr_type.is_none() && look.exr_compression.is_none()),
-            "--exr-type and --exr-compression apply to EXR files: give --format exr or --layers",
+            look.exr_layers || is_exr || (look.exr_type.is_none() && look.exr_compression.is_none()),
+            "--exr-type and --exr-compression apply to EXR files: give --format exr or --exr-layers",
         )
     }
 
@@ -290,7 +290,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         file.scene.composition.background = background.color();
     }
     let shot = args.shot(&mut file)?;
-    shared::fit_near(&mut file, &shot.cameras);
+    shared::fit_near(&mut file, shot.cameras.iter().map(|(_, camera)| camera));
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &shot.cameras))?;
     let gpu = args.adapter.open()?;
     let pictures = args.pictures(&shot);
@@ -355,7 +355,7 @@ fn draw(
         kept = Some(renderer);
         let picture = write::File { path, camera, composition, args };
         match rendered {
-            Rendered::Parts(parts) if args.look.layers => picture.layers(parts)?,
+            Rendered::Parts(parts) if args.look.exr_layers => picture.layers(parts)?,
             Rendered::Parts(parts) => picture.picture(parts.flattened(composition.background))?,
             Rendered::Whole(whole) => picture.picture(whole)?,
         }
@@ -475,7 +475,7 @@ enum Rendered {
 impl<'g> AnyRenderer<'g> {
     fn new(gpu: &'g Gpu, scene: &HybridScene, poses: &[Camera], look: &LookArgs) -> Result<Self, GpuError> {
         Ok(match look.model() {
-            ImageModel::Ewa if !look.layers => Self::Whole(Box::new(Renderer::new(gpu, scene, poses)?)),
+            ImageModel::Ewa if !look.exr_layers => Self::Whole(Box::new(Renderer::new(gpu, scene, poses)?)),
             model => Self::Parts(Box::new(LayeredRenderer::new(gpu, scene, poses, model)?)),
         })
     }

@@ -224,13 +224,14 @@ fn near_of(file: &SceneFile, radius: f64) -> f32 {
 }
 
 /// Sets the near plane of a scene without cameras that is seen from outside of what it shows: the same as for views
-/// around it. From within, the default keeps out what floats before cameras, as in training and in scores.
-pub(super) fn fit_near(file: &mut SceneFile, cameras: &[(String, Camera)]) {
+/// around it. From within, the default keeps out what floats before cameras, as in training. Scores are of what is
+/// rendered.
+pub(super) fn fit_near<'c>(file: &mut SceneFile, mut cameras: impl Iterator<Item = &'c Camera>) {
     // A scene with nothing in it has no radius, and needs none.
     if file.cameras.is_empty()
         && !file.states_composition
         && let Ok(Overview { focus, radius, .. }) = path::overview(&file.scene, 1)
-        && cameras.iter().all(|(_, camera)| camera.center().distance(focus) > radius)
+        && cameras.all(|camera| camera.center().distance(focus) > radius)
     {
         file.scene.composition.near = near_of(file, radius);
     }

@@ -25,6 +25,7 @@ use super::{interrupt, output};
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
+    let _lock = args.lock()?;
     let capture = args.open()?;
     let (mesh, of_mesh) = args.mesh(&capture)?;
     let lpips = args.lpips.open()?;

@@ -59,9 +59,18 @@ pub use write::{WRITABLE_CAMERAS, WriteOptions, write_cameras, write_cameras_wit
 use crate::atomic;
 
 /// Upper bound on the bytes of pixels per stored byte of an image. Deflate reaches 1032, each of which is 8 one-bit
-/// pixels, or 24 bytes of palette colours: 24,768. A progressive JPEG of a single colour reaches about 1000 (one bit
-/// per 8×8 block). No memory is reserved for headers that claim more.
+/// pixels, or 24 bytes of palette colours: 24,768. No memory is reserved for headers that claim more.
 pub(crate) const MAX_PIXEL_RATIO: u64 = 1 << 15;
+
+/// The same of a JPEG, which has at least one bit per block of 8×8 samples, and at least nine blocks per 32×32 pixels of
+/// three components, which are 3072 bytes: 2731. The decoder of a progressive one also allocates coefficients, of 8 bytes
+/// per pixel at most.
+const MAX_JPEG_RATIO: u64 = 1 << 12;
+
+/// Upper bound on the bytes of pixels per stored byte of an image, by the first bytes of its file.
+pub(crate) fn max_pixel_ratio(start: &[u8]) -> u64 {
+    if start.starts_with(&[0xff, 0xd8]) { MAX_JPEG_RATIO } else { MAX_PIXEL_RATIO }
+}
 
 /// Bytes besides its pixels to which an image may unpack, such as an (unused) colour profile; same as the `png` crate's
 /// own limit.

@@ -108,7 +108,7 @@ def opaque(rgb):
 def by_centaur(centaur, scene, out, model):
     folder = out / f"centaur-{model}"
     by_ray = ["--sh-direction", "ray"] if model == "ray, SH by ray" else []
-    command = [*centaur, "render", scene, *at_time(scene), "--model", model.split(",")[0], *by_ray, "--layers", "-o", folder]
+    command = [*centaur, "render", scene, *at_time(scene), "--model", model.split(",")[0], *by_ray, "--exr-layers", "-o", folder]
     seconds, text = run([*command, "--json", "--quiet"])
     pictures = json.loads(text.strip().splitlines()[-1])["pictures"]
     return {i: (read(path), seconds / len(pictures)) for i, path in enumerate(pictures[:MOST_CAMERAS])}

@@ -84,7 +84,7 @@ fn what_is_cut_out_makes_the_picture_again_over_its_background() {
         }
         assert!(see_through > 10, "{see_through} pixels are half transparent");
     }
-    let both = ["render", "ball.glb", "-o", "out", "--alpha", "--layers"];
+    let both = ["render", "ball.glb", "-o", "out", "--alpha", "--exr-layers"];
     assert_eq!(centaur(folder.path()).args(both).output().unwrap().status.code(), Some(2));
 }
 
@@ -395,6 +395,30 @@ fn small_scenes_are_seen_from_paths_around_them() {
     assert!(path.contains("clippingRange = (") && !path.contains("clippingRange = (0.2"), "{path}");
 }
 
+/// Photographs that `centaur render` made, a little brighter, are scored as such: the near plane is the same.
+#[test]
+fn small_scenes_are_scored_as_they_are_rendered() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_ball_of(&at("small.ply"), Composition::default(), 0.01);
+    let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.03], [0.0, 0.0, 0.0, 1.0]];
+    let pictures = ["a.png", "b.png"];
+    let frames = pictures.map(|name| serde_json::json!({ "file_path": name, "transform_matrix": pose }));
+    let cameras = serde_json::json!({ "w": 32, "h": 24, "fl_x": 32, "frames": frames });
+    std::fs::create_dir(at("capture")).unwrap();
+    std::fs::write(at("capture/transforms.json"), cameras.to_string()).unwrap();
+    run(folder.path(), &["render", "small.ply", "--cameras", "capture", "-o", "rendered"]);
+    for name in pictures {
+        let mut picture = image::open(at("rendered").join(name)).unwrap().into_rgb8();
+        assert!(picture.iter().any(|c| *c > 100), "it is black");
+        picture.iter_mut().for_each(|c| *c = c.saturating_add(1));
+        picture.save(at("capture").join(name)).unwrap();
+    }
+    let scores = run(folder.path(), &["eval", "small.ply", "capture", "--json", "--quiet"]);
+    let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
+    assert!(scores["psnr"].as_f64().unwrap() > 45.0, "{scores}");
+}
+
 #[test]
 fn what_makes_no_path_is_one_line() {
     let folder = tempfile::tempdir().unwrap();
@@ -486,7 +510,7 @@ fn layers_have_channels_that_compositors_know() {
     let folder = tempfile::tempdir().unwrap();
     write_capture(&folder.path().join("capture"), 3, (32, 24));
     write_ball(&folder.path().join("ball.glb"), Composition::default());
-    let render = ["render", "ball.glb", "--cameras", "capture", "--camera", "000.png", "--layers", "-o", "out"];
+    let render = ["render", "ball.glb", "--cameras", "capture", "--camera", "000.png", "--exr-layers", "-o", "out"];
     run(folder.path(), &render);
     let image = exr::prelude::read_first_flat_layer_from_file(folder.path().join("out/000.exr")).unwrap();
     let names: Vec<String> = image.layer_data.channel_data.list.iter().map(|c| c.name.to_string()).collect();
@@ -526,7 +550,7 @@ fn layers_hold_depths_normals_and_counts() {
     let lens = r#""fl_x":33,"fl_y":33,"cx":16.5,"cy":16.5,"w":33,"h":33"#;
     std::fs::write(at("c.json"), format!("{{{lens},\"frames\":[{frame}]}}")).unwrap();
     for (kind, is_half) in [("float", false), ("half", true)] {
-        let render = ["render", "s.glb", "--cameras", "c.json", "--layers", "--exr-type", kind, "-o", kind];
+        let render = ["render", "s.glb", "--cameras", "c.json", "--exr-layers", "--exr-type", kind, "-o", kind];
         run(folder.path(), &render);
         let image = exr::prelude::read_first_flat_layer_from_file(at(kind).join("a.exr")).unwrap();
         let list = image.layer_data.channel_data.list;
@@ -575,7 +599,7 @@ fn scenes_that_are_y_up_are_seen_by_captures_as_their_conversion_is() {
     std::fs::write(at("theirs.usda"), layer).unwrap();
     run(folder.path(), &["convert", "theirs.usda", "ours.glb"]);
     let layers = |scene: &str, out: &str| {
-        let said = run(folder.path(), &["render", scene, "--cameras", "capture", "--layers", "-o", out]);
+        let said = run(folder.path(), &["render", scene, "--cameras", "capture", "--exr-layers", "-o", out]);
         let mut files: Vec<_> = std::fs::read_dir(at(out)).unwrap().map(|e| e.unwrap().path()).collect();
         files.sort();
         let channels = |path: &std::path::PathBuf| {

@@ -29,6 +29,8 @@ fn wrong_usage_is_exit_code_2() {
         &["train", "capture", "-o", "scene.glb", "--budget-mb", "9", "--max-floats", "9"],
         &["eval", "scene.glb"],
         &["render", "scene.glb", "-o", "out", "--format", "tiff"],
+        // Of `train`, the number of mesh layers.
+        &["render", "scene.glb", "-o", "out", "--layers"],
         &["mesh", "splats.ply", "capture", "-o", "surface.obj"],
         &["mesh", "capture", "-o", "surface.glb", "--truth", "a.glb", "--within", "NaN"],
         &["mesh", "capture", "-o", "surface.glb", "--truth", "a.glb", "--within=-1"],
@@ -57,20 +59,20 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
             "--budget-mb: expected at least the 0.000056 of a splat of degree 0, found 0.00005",
         ),
         (
-            &["render", "a.glb", "-o", "a", "--layers", "--format", "png"],
-            "--layers writes EXR files: omit --format png",
+            &["render", "a.glb", "-o", "a", "--exr-layers", "--format", "png"],
+            "--exr-layers writes EXR files: omit --format png",
         ),
         (
             &["render", "a.glb", "-o", "a", "--sh-direction", "ray"],
             "--sh-direction ray needs --model ray: with --model ewa, every splat has one colour",
         ),
         (
-            &["render", "a.glb", "-o", "a", "--video", "a.mp4", "--layers"],
-            "--video is made of PNG images: omit --format exr and --layers",
+            &["render", "a.glb", "-o", "a", "--video", "a.mp4", "--exr-layers"],
+            "--video is made of PNG images: omit --format exr and --exr-layers",
         ),
         (
             &["render", "a.glb", "-o", "a", "--exr-type", "half"],
-            "--exr-type and --exr-compression apply to EXR files: give --format exr or --layers",
+            "--exr-type and --exr-compression apply to EXR files: give --format exr or --exr-layers",
         ),
         (
             &["render", "a.glb", "-o", "a", "--images", "images_4"],

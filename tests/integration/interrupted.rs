@@ -102,6 +102,7 @@ fn scoring_and_rendering_stop_and_the_scene_stays() {
     assert_eq!(said, expected);
     centaur::format::read_scene(&folder.path().join(files[0])).unwrap();
     assert!(folder.path().join(files[1]).is_file());
+    assert!(!folder.path().join("scene.glb.lock").exists());
 
     // The summary of all views was of other pictures.
     let at = |name: &str| folder.path().join(name);
@@ -160,6 +161,7 @@ fn a_checkpoint_goes_with_whoever_reads_the_result() {
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     assert_eq!((train(writer.into()).code(), checkpoint.exists()), (Some(0), false));
+    assert!(!folder.path().join("scene.glb.lock").exists());
     // Only Linux has a file that is always full.
     if let Ok(full) = std::fs::File::options().write(true).open("/dev/full") {
         assert_eq!((train(full.into()).code(), checkpoint.exists()), (Some(1), true));
@@ -176,10 +178,21 @@ fn a_checkpoint_that_was_set_aside_is_back() {
     let at = |name: &str| folder.path().join(name);
     std::fs::write(at("scene.glb.checkpoint"), "of another run").unwrap();
     let before = common::tree(folder.path());
+    // Of a training that was killed.
+    std::fs::write(at("scene.glb.lock"), "").unwrap();
     let arguments = "train capture -o scene.glb --no-mesh --iterations 1000000 --checkpoint-every 0";
     let mut child = start(folder.path(), arguments);
     let is_aside = wait_for(&mut child, "another name", || at("scene.glb.checkpoint.before-1").exists());
     assert!(is_aside, "it ended before");
+    // Of the same output a second training would overwrite the checkpoint.
+    std::os::unix::fs::symlink("scene.glb", at("link.glb")).unwrap();
+    for output in ["./scene.glb", "link.glb"] {
+        let mut second = common::centaur(folder.path());
+        let line = common::failure(folder.path(), second.args(["train", "capture", "--no-mesh", "-o", output]));
+        let expected = "another training is writing this scene: wait for its end, or give -o another name";
+        assert_eq!(line, format!("error: {output}: {expected}"));
+    }
+    std::fs::remove_file(at("link.glb")).unwrap();
     for signal in ["STOP", "INT", "TERM", "CONT"] {
         common::send(signal, &child.id().to_string());
     }

@@ -1,6 +1,5 @@
 //! Execution of jobs: each is a training in its own process, whose memory is released with it.
 
-use std::fs::{OpenOptions, TryLockError};
 use std::io::{self, Write as _};
 #[cfg(unix)]
 use std::os::unix::process::CommandExt as _;
@@ -11,6 +10,7 @@ use std::sync::{Mutex, Once};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
+use centaur::atomic::Lock;
 use centaur::format::{atomic_write, one_line};
 use indicatif::ProgressStyle;
 use serde_json::Value;
@@ -136,20 +136,14 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if let Some(folder) = job.result.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
-    // Locks are held by processes, so killed ones leave none behind. Not truncated, because the file may be another
-    // runner's.
+    // The training has a lock of its own, of another name.
     let path = job.result.with_extension("lock");
-    let open = OpenOptions::new().write(true).create(true).truncate(false).open(&path);
-    let lock = open.with_context(|| path.display().to_string())?;
-    match lock.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => return Ok(Ended::Elsewhere),
-        Err(TryLockError::Error(e)) if are_unknown(&e) => {
-            static SAID: Once = Once::new();
-            let folder = path.display();
-            SAID.call_once(|| output::note(&format!("{folder}: files cannot be locked here: jobs may be done twice")));
-        }
-        Err(TryLockError::Error(e)) => return Err(e).with_context(|| path.display().to_string()),
+    let lock = Lock::take(&path).with_context(|| path.display().to_string())?;
+    let Some(lock) = lock else { return Ok(Ended::Elsewhere) };
+    if !lock.excludes() {
+        static SAID: Once = Once::new();
+        let folder = path.display();
+        SAID.call_once(|| output::note(&format!("{folder}: files cannot be locked here: jobs may be done twice")));
     }
     if job.result.is_file() {
         // The other runner removed the lock file when it had written the result.
@@ -169,9 +163,10 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if cfg!(unix) {
         // As its stderr, the training holds the lock, too, until it ends: after this process is killed, it still writes
         // a checkpoint. On Windows a lock belongs to one process, and keeps others from writing.
-        lock.set_len(0)
-            .and_then(|()| (&lock).write_all(line(at_a_time).as_bytes()))
-            .and_then(|()| lock.try_clone())
+        let mut file = lock.file();
+        file.set_len(0)
+            .and_then(|()| file.write_all(line(at_a_time).as_bytes()))
+            .and_then(|()| file.try_clone())
             .map(|held| command.stderr(held))
             .context("cannot hold a lock")?;
     }
@@ -206,15 +201,9 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
         serde_json::to_value(Made { capture: job.fingerprint(jobs::images_of(&made).as_deref()), ..made })?
     };
     atomic_write(&job.result, &serde_json::to_vec_pretty(&result)?)?;
-    // Runners that still have it open check for the result first.
+    // Runners that lock it next check for the result first.
     let _ = std::fs::remove_file(path);
     Ok(Ended::Done(record::notes(&result).map(str::to_owned).collect()))
-}
-
-/// Whether what a lock ends with says that the file system has none: of NFS without a daemon for locks ENOLCK does.
-fn are_unknown(error: &io::Error) -> bool {
-    const ENOLCK: i32 = if cfg!(target_os = "linux") { 37 } else { 77 };
-    error.kind() == io::ErrorKind::Unsupported || cfg!(unix) && error.raw_os_error() == Some(ENOLCK)
 }
 
 /// What to do where a training does not go on from its checkpoint, such as after a change of the flags: as a job it always tries to.
@@ -246,16 +235,5 @@ mod tests {
         let cli::Command::Bench(args) = cli.command else { unreachable!() };
         let outcome = attempt(&[], &args, &AtomicBool::new(true)).unwrap();
         assert!(!outcome.is_stopped && outcome.left.is_empty());
-    }
-
-    #[test]
-    fn file_systems_without_locks_are_told_from_other_failures() {
-        assert!(are_unknown(&io::ErrorKind::Unsupported.into()));
-        assert!(!are_unknown(&io::ErrorKind::PermissionDenied.into()));
-        #[cfg(target_os = "linux")]
-        {
-            assert!(are_unknown(&io::Error::from_raw_os_error(37)), "ENOLCK");
-            assert!(!are_unknown(&io::Error::from_raw_os_error(5)), "EIO");
-        }
     }
 }

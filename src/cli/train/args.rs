@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use centaur::atomic::{self, LockFile};
 use centaur::capture::{self, Capture, CaptureError, LoadOptions, Split};
 use centaur::format::mesh_import;
 use centaur::geometry::{MeshBvh, Surface};
@@ -35,7 +36,8 @@ Examples:
 /// Ctrl-C (or, on Unix, losing the terminal) stops training after the current step (an iteration, or making and judging
 /// a surface) and saves a checkpoint for --resume. During scoring it stops after the current view and leaves the scene
 /// without scores. The exit code is then that of a program ended by the signal (130 for Ctrl-C). A second Ctrl-C stops
-/// immediately. An existing scene of the same name is replaced only when training is complete.
+/// immediately. An existing scene of the same name is replaced only when training is complete. Meanwhile a second
+/// training with the same -o is refused.
 ///
 /// The method is that of HERA ("the paper": Cai et al., CVPR 2025), on 3D Gaussian splatting (3DGS); docs/method.md
 /// lists the defaults that differ from theirs, and why.
@@ -243,8 +245,6 @@ pub(in crate::cli) struct Args {
     pub(super) lambda: f32,
     /// Number of mesh layers that a pixel keeps, the nearest first: 1, 2 or 4 (HERA sets no limit; opacity saturates
     /// after a few)
-    ///
-    /// Not related to the EXR layers of `centaur render --layers`.
     #[arg(long, value_name = "N", default_value_t = TrainOptions::default().layers, value_parser = layers,
           help_heading = COMPOSITION)]
     pub(super) layers: u32,
@@ -442,6 +442,19 @@ impl Args {
         let checkpoint = self.checkpoint();
         ensure!(!self.resume || checkpoint.is_file(), "{}: expected a checkpoint, found none", checkpoint.display());
         Ok(())
+    }
+
+    /// Keeps out other trainings of the same output: they would replace this one's checkpoint and scene.
+    pub(super) fn lock(&self) -> Result<LockFile> {
+        let cannot = || format!("{}: cannot lock", self.output.display());
+        // Whichever links lead there.
+        let mut path = atomic::place_of(&self.output).with_context(cannot)?.into_os_string();
+        path.push(".lock");
+        let lock = LockFile::take(path.as_ref()).with_context(cannot)?;
+        lock.with_context(|| {
+            let output = self.output.display();
+            format!("{output}: another training is writing this scene: wait for its end, or give -o another name")
+        })
     }
 
     pub(super) fn open(&self) -> Result<Capture> {

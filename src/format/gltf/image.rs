@@ -9,7 +9,7 @@ use super::lift::Asset;
 use super::uri::resolve;
 use crate::format::error::Fault;
 use crate::format::map_budget::{Identity, MapBudget, identity};
-use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO};
+use crate::format::{MAX_BESIDE_PIXELS, MAX_PIXEL_RATIO, max_pixel_ratio};
 use crate::scene::Texture;
 
 /// Texels as stored, 0..1, without undoing a transfer function; rows from the top.
@@ -74,7 +74,7 @@ const IMAGE: &str = "a PNG, JPEG or WebP image";
 /// Decodes a PNG (8 or 16 bit), JPEG or `WebP`. On failure: expectation and finding.
 pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, String)> {
     let undecodable = |e: &dyn std::fmt::Display| (IMAGE.to_owned(), e.to_string());
-    let (encoded_bytes, identity) = (encoded.len() as u64, identity(&encoded));
+    let (encoded_bytes, ratio, identity) = (encoded.len() as u64, max_pixel_ratio(&encoded), identity(&encoded));
     if encoded.starts_with(b"RIFF") {
         return webp_texels(&encoded, identity);
     }
@@ -87,8 +87,9 @@ pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, Str
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(|e| undecodable(&e))?;
     let (width, height) = decoder.dimensions();
-    if decoder.total_bytes() / MAX_PIXEL_RATIO > encoded_bytes {
-        let expected = format!("{width}×{height} pixels in {} bytes or more", decoder.total_bytes() / MAX_PIXEL_RATIO);
+    let least = decoder.total_bytes() / ratio;
+    if least > encoded_bytes {
+        let expected = format!("{width}×{height} pixels in {least} bytes or more");
         return Err((expected, format!("{encoded_bytes} bytes")));
     }
     MapBudget::new(encoded_bytes).spend(4 * u64::from(width) * u64::from(height))?;
@@ -168,6 +169,6 @@ mod tests {
             br#"{ "asset": { "version": "2.0" }, "images": [{ "uri": "a.jpg" }], "textures": [{ "source": 0 }] }"#;
         let asset = Asset::parse(json, folder.path().to_owned()).map_err(|_| ()).unwrap();
         let message = asset.texels(0).err().unwrap().in_file(Path::new("f")).to_string();
-        assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 24576 bytes"), "{message}");
+        assert!(message.starts_with("f: /images/0: expected 16384×16384 pixels in 196608 bytes"), "{message}");
     }
 }

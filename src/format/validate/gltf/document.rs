@@ -19,7 +19,7 @@ const FEW: usize = 1 << 16;
 pub(super) struct Document<'a> {
     pub(super) root: &'a Value,
     /// Content of each buffer; `None` where it is unavailable.
-    buffers: Vec<Option<Content>>,
+    buffers: Vec<Option<Content<'a>>>,
     /// Decompressed buffer views, by index.
     plain_views: HashMap<usize, Vec<u8>>,
     /// Accessors whose values an extension of a primitive may provide.
@@ -27,15 +27,31 @@ pub(super) struct Document<'a> {
     pub(super) folder: &'a Path,
 }
 
-/// Content of a buffer: part of a file that other buffers may share.
-struct Content {
-    file: Arc<Vec<u8>>,
+/// Content of a buffer: the first bytes of what is stored.
+struct Content<'a> {
+    stored: Stored<'a>,
     length: usize,
 }
 
-impl Content {
+enum Stored<'a> {
+    /// File that other buffers may share.
+    File(Arc<Vec<u8>>),
+    /// Binary chunk of the GLB, which is in memory as a whole.
+    Chunk(&'a [u8]),
+}
+
+impl Content<'_> {
     fn bytes(&self) -> &[u8] {
-        &self.file[..self.length]
+        &self.stored.bytes()[..self.length]
+    }
+}
+
+impl Stored<'_> {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::File(bytes) => bytes,
+            Self::Chunk(bytes) => bytes,
+        }
     }
 }
 
@@ -210,14 +226,15 @@ fn supplied(root: &Value) -> HashSet<usize> {
 
 impl<'a> Document<'a> {
     /// Loads the buffers, and reports missing or too short ones.
-    pub(super) fn load(root: &'a Value, bin: Option<&[u8]>, folder: &'a Path, findings: &mut Findings) -> Self {
-        let (mut buffers, mut loaded): (Vec<Option<Content>>, _) = (vec![], Loaded::default());
+    pub(super) fn load(root: &'a Value, bin: Option<&'a [u8]>, folder: &'a Path, findings: &mut Findings) -> Self {
+        let (mut buffers, mut loaded): (Vec<Option<Content<'a>>>, _) = (vec![], Loaded::default());
         for (at, buffer) in super::objects(root, "buffers", "") {
             let needed = index(buffer, "byteLength").unwrap_or(0);
             let embedded = if buffers.is_empty() { bin } else { None };
             let content = match (buffer.get("uri").and_then(Value::as_str), embedded) {
                 (Some(uri), _) => loaded
                     .resolve(uri, folder)
+                    .map(Stored::File)
                     .map_err(|(expected, found)| findings.error("BUFFER_URI", format!("{at}/uri"), expected, found))
                     .ok(),
                 (None, Some(bin)) => {
@@ -227,7 +244,7 @@ impl<'a> Document<'a> {
                             format!("{needed} bytes in the binary chunk, as declared, and up to 3 of padding");
                         findings.warning("BUFFER_LENGTH", format!("{at}/byteLength"), expected, bin.len());
                     }
-                    Some(Arc::new(bin.to_vec()))
+                    Some(Stored::Chunk(bin))
                 }
                 // Some compression extensions describe a buffer that is never stored.
                 (None, None) if buffer.get("extensions").is_some() => None,
@@ -236,13 +253,13 @@ impl<'a> Document<'a> {
                     None
                 }
             };
-            if let Some(content) = &content
-                && content.len() < needed
+            if let Some(stored) = &content
+                && stored.bytes().len() < needed
             {
-                let expected = format!("at most {}, the bytes there are", content.len());
+                let expected = format!("at most {}, the bytes there are", stored.bytes().len());
                 findings.error("BUFFER_LENGTH", format!("{at}/byteLength"), expected, needed);
             }
-            buffers.push(content.map(|file| Content { length: file.len().min(needed), file }));
+            buffers.push(content.map(|stored| Content { length: stored.bytes().len().min(needed), stored }));
         }
         if buffers.is_empty() && bin.is_some_and(|bin| !bin.is_empty()) {
             findings.warning("BUFFER_UNUSED", "/buffers", "a buffer for the binary chunk", "none");
