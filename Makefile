@@ -69,7 +69,7 @@ doc:
 # Kernels for GPUs have separate code for subgroups of 4 and of 16 lanes; by default Mesa's software adapter has 8.
 LANES := 4 16
 # Parts of the names of tests.
-LANES_TESTS := gpu::tests::gradients_equal gpu::tests::absolute gpu::texel_tests
+LANES_TESTS := gpu::tests::gradients::gradients_equal gpu::tests::gradients::absolute gpu::texel_tests
 test-rust: ## unit, integration and documentation tests
 	cargo test --release --no-fail-fast
 	@for name in $(LANES_TESTS); do \
@@ -199,7 +199,7 @@ oracle-splat-transform: ## compare splats that we convert with splat-transform, 
 
 oracle-ffmpeg: ## check films of `centaur render --video` made by the real ffmpeg (Debian's ffmpeg, as root)
 	@command -v ffmpeg >/dev/null && command -v ffprobe >/dev/null || scripts/install.sh ffmpeg
-	$(call IGNORED_TESTS,cameras)
+	$(call IGNORED_TESTS,films)
 
 oracle-usd: $(ORACLES_USD)/installed ## compare USD that we read and write with usd-core
 	CENTAUR_USD_PYTHON="$(abspath $(ORACLES_USD)/bin/python)" $(call IGNORED_TESTS,usd_oracle)

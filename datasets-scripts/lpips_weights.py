@@ -19,7 +19,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from fetch_captures import FetchError, alone_in, download, end_on_signals, ensure_space, interrupted, sha256
+from downloads import FetchError, alone_in, download, end_on_signals, ensure_space, interrupted, sha256
 from outputs import ensure_file, write_whole
 
 PYPI = "https://files.pythonhosted.org/packages/"

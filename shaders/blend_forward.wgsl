@@ -15,7 +15,8 @@
 @group(0) @binding(4) var<storage, read_write> image: array<vec4f>;      // rgb, final transmittance
 //#if SAVE
 @group(0) @binding(5) var<storage, read_write> buckets: array<vec4f>;    // [BUCKETS][pixel]: colour, transmittance
-@group(0) @binding(6) var<storage, read_write> ends: array<vec2u>;       // [BUCKETS][pixel]: pair after the last used, bits of the disparity
+@group(0) @binding(6) var<storage, read_write> ends: array<vec2u>;       // [BUCKETS][pixel]: pair after the last used,
+                                                                         // bits of the disparity
 alias Blended = vec4f;                  // rgb, disparity
 //#else
 alias Blended = vec3f;                  // rgb

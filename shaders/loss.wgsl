@@ -1,5 +1,5 @@
-// (1 − w)·mean|x − y| + w·(1 − mean SSIM(x, y)) of a rendered image x and the truth y, and its gradient (Kerbl et al. 2023, eq. 7):
-// 11×11 Gaussian windows, σ = 1.5, zeros outside the image, mean over pixels and channels.
+// (1 − w)·mean|x − y| + w·(1 − mean SSIM(x, y)) of a rendered image x and the truth y, and its gradient (Kerbl et al.
+// 2023, eq. 7): 11×11 Gaussian windows, σ = 1.5, zeros outside the image, mean over pixels and channels.
 //
 // With d = x − y, A = 2·m1·m2 + C1, B = 2·s12 + C2 the usual formula is S = AB / ((A + md²)(B + vd)), where md and vd
 // are the window's mean and variance of d. So four blurred maps (y, d, d², xy) suffice instead of five, and the
@@ -11,8 +11,10 @@
 // windows reach. It loads these into workgroup memory, with consecutive threads on consecutive pixels of a row, so that
 // every cache line is read once and whole; with a thread per row each would read lines of its own. Then rows are
 // blurred (8 outputs per thread out of 18 inputs), in place, then columns (5 out of 15). Per pixel and channel:
-//   forward   2.0 loads, in workgroup memory 1.0 + 1.3 × 16 B stored and 1.4 + 3 × 16 B loaded, 99 multiply-adds, 16 B written
-//   backward  2.0 loads of 16 B, in workgroup memory 1.6 + 1.3 × 16 B stored and 2.3 + 3 × 16 B loaded, 74 multiply-adds, 4 B written
+//   forward   2.0 loads, in workgroup memory 1.0 + 1.3 × 16 B stored and 1.4 + 3 × 16 B loaded, 99 multiply-adds,
+//             16 B written
+//   backward  2.0 loads of 16 B, in workgroup memory 1.6 + 1.3 × 16 B stored and 2.3 + 3 × 16 B loaded,
+//             74 multiply-adds, 4 B written
 // Memory traffic is 20 + 48 B per pixel forward and 48 + 20 + 16 B backward: 79 MB at 960 × 540, some 16 µs at 5 TB/s.
 
 //#import shared/view.wgsl

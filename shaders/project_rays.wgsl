@@ -2,8 +2,8 @@
 // ellipsoid of alpha ALPHA_CUT. One thread per splat.
 //
 // In coordinates δ = (slope of a pixel's ray) − (slope of the mean's ray) and with the covariance Σ' of (x − s_x z,
-// y − s_y z, z), where s is the mean's slope, that outline is the ellipse around ρ²Σ'_·z / (ρ²Σ'_zz − z²) with the matrix
-// ρ²/h (Σ' + ρ² Σ'_·z Σ'_z· / h), h = z² − ρ²Σ'_zz: the dual conic ρ²Σ − m mᵀ, shifted so that nothing cancels.
+// y − s_y z, z), where s is the mean's slope, that outline is the ellipse around ρ²Σ'_·z / (ρ²Σ'_zz − z²) with the
+// matrix ρ²/h (Σ' + ρ² Σ'_·z Σ'_z· / h), h = z² − ρ²Σ'_zz: the dual conic ρ²Σ − m mᵀ, shifted so that nothing cancels.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 //#import shared/projection.wgsl

@@ -30,7 +30,8 @@ const_assert BLOCK == 1u << PLACE_BITS;
 const_assert DIGITS == 256u;            // a thread to each
 
 var<workgroup> digit_counts: array<atomic<u32>, DIGITS>;
-var<workgroup> words: array<u32, BLOCK + BLOCK / 32u>;  // by `spread`: counters [half of a digit mod 8][thread], or one word per pair
+var<workgroup> words: array<u32, BLOCK + BLOCK / 32u>;  // by `spread`: counters [half of a digit mod 8][thread], or one
+                                                        // word per pair
 var<workgroup> digit_base: array<u32, DIGITS>;
 
 fn item_count() -> u32 {

@@ -1,6 +1,6 @@
-// Exclusive prefix sum of the first counts[COUNT_WORD] words of `input`; the total goes to counts[TOTAL_WORD]. Sums saturate.
-// Three dispatches: sums of blocks, their scan by one workgroup, scan inside blocks. No workgroup waits for another
-// (WGSL promises no forward progress), at the price of reading the input twice.
+// Exclusive prefix sum of the first counts[COUNT_WORD] words of `input`; the total goes to counts[TOTAL_WORD]. Sums
+// saturate. Three dispatches: sums of blocks, their scan by one workgroup, scan inside blocks. No workgroup waits for
+// another (WGSL promises no forward progress), at the price of reading the input twice.
 
 @group(0) @binding(0) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(1) var<storage, read> input: array<u32>;

@@ -23,7 +23,7 @@
 @group(0) @binding(8) var<storage, read_write> statistics: array<vec4f>;
 @group(0) @binding(9) var<storage, read_write> status: Status;
 //#if POSES
-@group(0) @binding(10) var<storage, read_write> turn_gradient: array<vec4f>;    // of L by ω, its part; last of four is 0
+@group(0) @binding(10) var<storage, read_write> turn_gradient: array<vec4f>;  // of L by ω, its part; last of four is 0
 //#end
 
 @compute @workgroup_size(256)
@@ -75,7 +75,8 @@ fn main(
 //#end
     var g_mean = (g_direction - direction * dot(direction, g_direction)) / distance;
 
-    // Offsets δ = L·(dx, y) and Q = Σ'⁻¹ = L⁻ᵀ·D·L⁻¹, with L = [1, 0; q.y, 1] and D = diag(q.x, q.z). Screen mean: ∂power/∂u = Qδ.
+    // Offsets δ = L·(dx, y) and Q = Σ'⁻¹ = L⁻ᵀ·D·L⁻¹, with L = [1, 0; q.y, 1] and D = diag(q.x, q.z). Screen mean:
+    // ∂power/∂u = Qδ.
     let g_uv = pull(q, sd.x, sd.y);
     // Screen covariance: G_Σ = Q·(½Σp·δδᵀ)·Q. Σ2 = [n0·n0, n0·n1; n0·n1, n1·n1], n = scale ∘ Rᵀm: the derivative by n
     // is 2·G_Σ·n = L⁻ᵀ·(D·Σp·(dx, y)(dx, y)ᵀ)·(Lᵀ·Q·n), where Lᵀ·Q·n = (q.x·n0, a1) if a = Q·n. This form avoids

@@ -2,16 +2,18 @@
 // vertices, along their normals, in place; vertex_backward adds them up.
 //
 // ∂L/∂uv = Σ over taps of (∂weight/∂uv) · (∂L/∂sample · texel), at constant mip level. Must follow
-// texel_backward, which reads the gradient that is overwritten here. Reads what shade_layers reads and 160 bytes, writes
-// 16.
+// texel_backward, which reads the gradient that is overwritten here. Reads what shade_layers reads and 160 bytes,
+// writes 16.
 
 //#import shared/view.wgsl
 //#import shared/sh.wgsl
 //#import shared/mesh_fragment.wgsl
 
 @group(0) @binding(5) var<storage, read> base_texels: array<vec4f>;     // [texels]: DC rgb, opacity logit
-@group(0) @binding(6) var<storage, read_write> layer_gradient: array<vec4f>;    // [L, h, w]: of rgb, alpha → of three vertices
-@group(0) @binding(7) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]: world, unit, bits of floats; w: vertex
+@group(0) @binding(6) var<storage, read_write> layer_gradient: array<vec4f>;    // [L, h, w]: of rgb, alpha → of three
+                                                                                // vertices
+@group(0) @binding(7) var<storage, read> corner_normals: array<vec4u>;  // [F, 3]: world, unit, bits of floats; w:
+                                                                        // vertex
 //#if BANDS
 @group(0) @binding(8) var<storage, read> band_texels: array<f32>;       // [texels, (d+1)²−1, 3]
 //#end

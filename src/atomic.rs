@@ -8,6 +8,8 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
@@ -46,9 +48,66 @@ pub(crate) fn undisturbed() -> impl Drop {
 fn put_back(path: &Path, place: &Path) -> io::Result<bool> {
     let is_free = !place.exists();
     if is_free {
-        fs::rename(path, place)?;
+        rename(path, place)?;
     }
     Ok(is_free)
+}
+
+/// Time for which a file that another program holds is tried again, and between attempts.
+const PATIENCE: Duration = Duration::from_secs(2);
+const PAUSE: Duration = Duration::from_millis(25);
+
+/// Renames a file or folder, a file over what is there. On Windows, virus scanners and indexers hold new files for
+/// moments, in which they cannot be renamed: it is tried again for two seconds.
+///
+/// # Errors
+/// If it cannot be renamed.
+pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    patiently(cfg!(windows), || fs::rename(from, to))
+}
+
+fn patiently(is_windows: bool, mut act: impl FnMut() -> io::Result<()>) -> io::Result<()> {
+    let start = Instant::now();
+    loop {
+        match act() {
+            // Access denied, a sharing violation, or a lock violation.
+            Err(error)
+                if is_windows && matches!(error.raw_os_error(), Some(5 | 32 | 33)) && start.elapsed() < PATIENCE =>
+            {
+                thread::sleep(PAUSE);
+            }
+            done => return done,
+        }
+    }
+}
+
+/// Writes a file's content through to the disk, where the file system can.
+///
+/// # Errors
+/// If the disk cannot take it.
+pub(crate) fn sync(file: &File) -> io::Result<()> {
+    match file.sync_all() {
+        Err(error) if lacks_sync(&error, cfg!(target_vendor = "apple")) => Ok(()),
+        done => done,
+    }
+}
+
+/// Whether an error of [`File::sync_all`] says that the file system does not have it: on Apple's systems it asks for
+/// `F_FULLFSYNC`, to which network volumes answer EINVAL, ENOTTY, ENOTSUP or EOPNOTSUPP.
+fn lacks_sync(error: &io::Error, is_apple: bool) -> bool {
+    is_apple && matches!(error.raw_os_error(), Some(22 | 25 | 45 | 102))
+}
+
+/// Absolute path of what exists, without symbolic links.
+///
+/// # Errors
+/// If nothing is there.
+pub fn real_path(path: &Path) -> io::Result<PathBuf> {
+    match path.canonicalize() {
+        // Some RAM disks on Windows do not support this, nor links.
+        Err(_) if cfg!(windows) && path.exists() => std::path::absolute(path),
+        done => done,
+    }
 }
 
 /// Entry of the list of temporary paths, removed on drop.
@@ -107,7 +166,7 @@ impl Aside {
     /// If the file cannot be renamed.
     pub fn set(place: PathBuf, name: PathBuf) -> io::Result<Self> {
         let mut list = list();
-        fs::rename(&place, &name)?;
+        rename(&place, &name)?;
         list.insert(name.clone(), Some(place.clone()));
         Ok(Self { listed: Listed(name), place })
     }
@@ -163,8 +222,8 @@ pub fn place_of(output: &Path) -> io::Result<PathBuf> {
 /// As many symbolic links are followed, one after the other, as Linux does.
 const MOST_LINKS: usize = 40;
 
-/// Renames each of `files`, of which the first is in `staging`, to the second, in their order, over what is there: all of them, or none where
-/// one cannot be, which is the error's.
+/// Renames each of `files`, of which the first is in `staging`, to the second, in their order, over what is there: all
+/// of them, or none where one cannot be, which is the error's.
 ///
 /// # Errors
 /// If a place is a folder, or cannot be written to.
@@ -180,21 +239,21 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
             // A hard link keeps the former content under a second name until the new file replaces the place; not all
             // file systems support links.
             fs::hard_link(place, &kept).or_else(|_| fs::copy(place, &kept).map(drop))?;
-            // See the `sync_all` in `write_with`.
-            fs::OpenOptions::new().write(true).open(file)?.sync_all()?;
+            // See the `sync` in `write_with`.
+            sync(&fs::OpenOptions::new().write(true).open(file)?)?;
             Ok(Some(kept))
         };
         let replace = || {
             #[cfg(unix)]
             keep_mode(file, place)?;
-            fs::rename(file, place)
+            rename(file, place)
         };
         match keep().and_then(|kept| replace().map(|()| kept)) {
             Ok(kept) => former.push((*place, kept)),
             Err(error) => {
                 for (place, kept) in former.into_iter().rev() {
                     // Errors of the rollback are not reported: the first failure already is.
-                    let _ = kept.map_or_else(|| fs::remove_file(place), |kept| fs::rename(kept, place));
+                    let _ = kept.map_or_else(|| fs::remove_file(place), |kept| rename(&kept, place));
                 }
                 return Err((place, error));
             }
@@ -227,13 +286,10 @@ pub(crate) fn write_with(
     produce: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
 ) -> io::Result<u64> {
     let path = place_of(path)?;
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(PREFIX);
-    // Temporary files are private by default; the result is as readable as the umask allows, like any other file, or as
-    // the file it replaces.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let (_listed, mut temporary) = listed(|| builder.tempfile_in(folder_of(&path)))?;
+    // Temporary files of `tempfile` are private; the result is as readable as the umask allows, like any other file, or
+    // as the file it replaces.
+    let make = |path: &Path| File::options().read(true).write(true).create_new(true).open(path);
+    let (_listed, mut temporary) = listed(|| tempfile::Builder::new().prefix(PREFIX).make_in(folder_of(&path), make))?;
     #[cfg(unix)]
     keep_mode(temporary.path(), &path)?;
     let mut out = BufWriter::with_capacity(1 << 20, temporary.as_file_mut());
@@ -244,13 +300,13 @@ pub(crate) fn write_with(
     // After a crash the rename may have reached the disk without the data: synchronised only if former content could be
     // lost.
     if path.exists() {
-        temporary.as_file().sync_all()?;
+        sync(temporary.as_file())?;
     }
     // On Windows, a file that a reader has open, such as a scene overwritten by itself, can be replaced by `rename` but
-    // not by `persist`.
-    let (file, temporary) = temporary.keep().map_err(|e| e.error)?;
+    // not by `persist`, and paths may be too long for `keep`. What is renamed is not there to be removed on drop.
+    let (file, temporary) = temporary.into_parts();
     drop(file);
-    fs::rename(&temporary, path).inspect_err(|_| drop(fs::remove_file(&temporary)))?;
+    rename(&temporary, &path)?;
     Ok(bytes)
 }
 
@@ -302,6 +358,47 @@ mod tests {
             let is = (fs::read(&path).unwrap(), fs::metadata(&path).unwrap().permissions().mode() & 0o777);
             assert_eq!(is, (b"newer".to_vec(), mode));
         }
+    }
+
+    #[test]
+    fn what_others_hold_for_moments_is_renamed_after_them() {
+        for (code, is_windows, attempts) in [(5, true, 3), (32, true, 3), (33, true, 3), (2, true, 1), (32, false, 1)] {
+            let mut made = 0;
+            let done = patiently(is_windows, || {
+                made += 1;
+                if made < 3 { Err(io::Error::from_raw_os_error(code)) } else { Ok(()) }
+            });
+            assert_eq!((made, done.is_ok()), (attempts, attempts == 3), "{code} {is_windows}");
+        }
+    }
+
+    #[test]
+    fn volumes_that_cannot_be_synchronised_are_told_from_failures() {
+        let error = io::Error::from_raw_os_error;
+        assert!([22, 25, 45, 102].iter().all(|code| lacks_sync(&error(*code), true)));
+        assert!(!lacks_sync(&error(45), false) && !lacks_sync(&error(28), true), "ENOSPC");
+    }
+
+    #[cfg(windows)]
+    #[test]
+    fn paths_may_be_long() {
+        let folder = tempfile::tempdir().unwrap();
+        let deep = folder.path().join("a".repeat(120)).join("b".repeat(120));
+        fs::create_dir_all(&deep).unwrap();
+        write(&deep.join("a.bin"), b"new").unwrap();
+        assert_eq!(fs::read_dir(&deep).unwrap().count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_new_is_as_readable_as_any_file() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = tempfile::tempdir().unwrap();
+        let [usual, own] = ["usual", "own"].map(|name| folder.path().join(name));
+        fs::write(&usual, b"").unwrap();
+        write(&own, b"").unwrap();
+        let [usual, own] = [usual, own].map(|file| fs::metadata(file).unwrap().permissions().mode());
+        assert_eq!(usual, own);
     }
 
     #[test]

@@ -45,9 +45,9 @@ pub enum EvaluateError {
 
 /// Scores a scene on the held-out views of its capture, with LPIPS if its weights are given.
 ///
-/// Give the capture as it was opened for training: scores at other sizes do not compare. The scene has to be in its world, in which
-/// [`read_scene`](crate::format::read_scene) has whatever was trained on it. Of [`Measured`] what only the caller knows is left
-/// empty: the scene's file and its training.
+/// Give the capture as it was opened for training: scores at other sizes do not compare. The scene has to be in its
+/// world, in which [`read_scene`](crate::format::read_scene) has whatever was trained on it. Of [`Measured`] what only
+/// the caller knows is left empty: the scene's file and its training.
 ///
 /// ```no_run
 /// use centaur::{capture::{self, LoadOptions}, evaluate::evaluate, format::read_scene, render::gpu::Gpu};

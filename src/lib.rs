@@ -5,8 +5,8 @@
 //! [`evaluate`] scores a scene. ARCHITECTURE.md has the map and the invariants. Types of [`glam`], [`image`] and
 //! [`serde_json`] are part of the API and therefore re-exported, so that versions agree.
 //!
-//! A scene from a file, rendered as a PNG and written in another format. Scenes are in the frame of captures, y down, as [`format::read_scene`] and
-//! [`format::write_scene`] turn glTF and USD, which are y up:
+//! A scene from a file, rendered as a PNG and written in another format. Scenes are in the frame of captures, y down,
+//! as [`format::read_scene`] and [`format::write_scene`] turn glTF and USD, which are y up:
 //!
 //! ```no_run
 //! use centaur::{

@@ -13,8 +13,8 @@ pub(crate) fn median(values: Vec<f64>) -> Option<f64> {
     quantile(values, 0.5)
 }
 
-/// The element of which `of` says the median, of an even number the higher one in the middle. Those of which it says the same stay in their
-/// order. `None` without elements.
+/// The element of which `of` says the median, of an even number the higher one in the middle. Those of which it says
+/// the same stay in their order. `None` without elements.
 pub(crate) fn median_by<T>(mut elements: Vec<T>, of: impl Fn(&T) -> f64) -> Option<T> {
     elements.sort_by(|a, b| of(a).total_cmp(&of(b)));
     let middle = elements.len() / 2;

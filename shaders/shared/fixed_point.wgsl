@@ -1,10 +1,11 @@
 // Sums in fixed point: integers come to the same whatever the order of their terms, which is another one in every run.
-// The view's largest gradient of a fragment is FIXED_ONE units: 2,047 terms of that size fit, and what is 2⁻²¹ of it or less is
-// lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels that pull alike and as hard as the one that pulls most fit. A
-// texel of the bands, which are a quarter as wide, has 16 times the pixels: its terms are in units that are 8 times as large. Where more pixels see
-// one texel than that leaves room for, before a wall in a coarse map or where all corners of triangles have one place there, units are larger
-// by as much (`map_peak`). A vertex may have half of the picture on its triangles, of a wall that is far off and pulls
-// one way: its sums have 64 bits, in two words, the low one first, and hold 2⁴³ terms of any size.
+// The view's largest gradient of a fragment is FIXED_ONE units: 2,047 terms of that size fit, and what is 2⁻²¹ of it or
+// less is lost. Of a texel's base a term is at most 0.29 of it, so that 7,000 pixels that pull alike and as hard as the
+// one that pulls most fit. A texel of the bands, which are a quarter as wide, has 16 times the pixels: its terms are in
+// units that are 8 times as large. Where more pixels see one texel than that leaves room for, before a wall in a coarse
+// map or where all corners of triangles have one place there, units are larger by as much (`map_peak`). A vertex may
+// have half of the picture on its triangles, of a wall that is far off and pulls one way: its sums have 64 bits, in two
+// words, the low one first, and hold 2⁴³ terms of any size.
 // FIXED_ONE, BAND_UNIT, CROWD and BAND_CROWD come from the host (`FIXED_POINT` in src/render/gpu/shader.rs).
 
 // Words of `peaks`, written by `gradient_peak`: 0, bits of the largest gradient of a fragment by its map; 1, by its

@@ -1,11 +1,13 @@
 // Shared by both kernels of the loss: buffers, the window, the compared colours, and SSIM's slopes at a pixel.
 
 @group(0) @binding(0) var<uniform> view: View;
-@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its exposure; z, w: `set_truth`
+@group(0) @binding(1) var<uniform> weights: vec4f;                        // x: w; y: index of the view, for its
+                                                                          // exposure; z, w: `set_truth`
 @group(0) @binding(2) var<storage, read> image: array<f32>;               // rgb and transmittance per pixel
 @group(0) @binding(3) var<storage, read> truth: array<u32>;               // RGBA8, r lowest
 @group(0) @binding(4) var<storage, read_write> slopes: array<vec4f>;      // [channel][pixel] g1, g2, g3
-@group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // ∂L/∂rgb, and by the pixel's expected disparity
+@group(0) @binding(5) var<storage, read_write> gradient: array<f32>;      // ∂L/∂rgb, and by the pixel's expected
+                                                                          // disparity
 @group(0) @binding(6) var<storage, read_write> means: array<vec2f>;       // each tile's part of mean SSIM and L1
 //#if EXPOSURE
 @group(0) @binding(7) var<storage, read> exposures: array<vec4f>;         // [view][row], see exposure.wgsl

@@ -1,4 +1,5 @@
-// EWA projection of one splat (Kerbl et al. 2023, eq. 5; filters of Mip-Splatting), shared by the forward and backward stages.
+// EWA projection of one splat (Kerbl et al. 2023, eq. 5; filters of Mip-Splatting), shared by the forward and backward
+// stages.
 //#import shared/rotation.wgsl
 
 struct Gaussian {

@@ -34,7 +34,8 @@ fn column_span(e: Ellipse, row: u32, tiles: vec2u) -> vec2u {
     let top = max(f32(row * TILE) + 0.5 - e.center.y - TILE_EPSILON, -e.extent.y);
     let bottom = min(f32(row * TILE + TILE) - 0.5 - e.center.y + TILE_EPSILON, e.extent.y);
     if top > bottom { return vec2u(0u); }
-    // The ellipse's right-most point lies on the line of its columns' peaks; if outside the row, the nearer edge has the extreme.
+    // The ellipse's right-most point lies on the line of its columns' peaks; if outside the row, the nearer edge has
+    // the extreme.
     let tilt = e.squares.y * e.extent.x;
     let right = edge(e, clamp(tilt, top, bottom), 1.0);
     let left = edge(e, clamp(-tilt, top, bottom), -1.0);

@@ -4,11 +4,13 @@
 //#import shared/group_index.wgsl
 
 struct View {
-    row_x: vec4f,                       // rows of R, world→camera; last, x, y and z of what `center` is short of the centre
+    row_x: vec4f,                       // rows of R, world→camera; last, x, y and z of what `center` is short of the
+                                        // centre
     row_y: vec4f,
     row_z: vec4f,
     center: vec3f,                      // camera centre, world
-    disparity_slope: f32,               // ∂L/∂(expected disparity of a pixel), in training, at most; see loss_terms.wgsl
+    disparity_slope: f32,               // ∂L/∂(expected disparity of a pixel), in training, at most; see
+                                        // loss_terms.wgsl
     focal: vec2f,                       // pixels
     principal: vec2f,                   // pixels, continuous coordinates
     size: vec2u,                        // image, pixels

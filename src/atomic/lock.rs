@@ -27,7 +27,7 @@ impl Lock {
         let mut more = 1..MOST_TRIES;
         loop {
             // Not truncated, because the file may be another process's.
-            let file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+            let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
             let excludes = match file.try_lock() {
                 Ok(()) => true,
                 Err(TryLockError::WouldBlock) => return Ok(None),
@@ -41,7 +41,7 @@ impl Lock {
         }
     }
 
-    /// The locked file, open for writing at its beginning.
+    /// The locked file, open for reading and writing at its beginning. On Windows it can be read through this handle alone.
     #[must_use]
     pub fn file(&self) -> &File {
         &self.file
@@ -101,7 +101,10 @@ fn is_at(_: &File, path: &Path) -> bool {
 /// Whether a failure to lock says that the file system has no locks: ENOLCK does, of NFS without a daemon for them.
 fn are_unknown(error: &io::Error) -> bool {
     const ENOLCK: i32 = if cfg!(target_os = "linux") { 37 } else { 77 };
-    error.kind() == io::ErrorKind::Unsupported || cfg!(unix) && error.raw_os_error() == Some(ENOLCK)
+    const ENOTSUP: i32 = 45;
+    error.kind() == io::ErrorKind::Unsupported
+        || cfg!(unix) && error.raw_os_error() == Some(ENOLCK)
+        || cfg!(target_vendor = "apple") && error.raw_os_error() == Some(ENOTSUP)
 }
 
 #[cfg(test)]
@@ -148,5 +151,7 @@ mod tests {
             assert!(are_unknown(&io::Error::from_raw_os_error(37)), "ENOLCK");
             assert!(!are_unknown(&io::Error::from_raw_os_error(5)), "EIO");
         }
+        #[cfg(target_vendor = "apple")]
+        assert!(are_unknown(&io::Error::from_raw_os_error(45)), "ENOTSUP");
     }
 }

@@ -61,8 +61,8 @@ struct Probe {
 /// its order.
 ///
 /// # Errors
-/// If a file is missing or malformed, a camera model cannot be undistorted, a pose is no rigid motion, the size of an image is
-/// not known, or there is no camera.
+/// If a file is missing or malformed, a camera model cannot be undistorted, a pose is no rigid motion, the size of an
+/// image is not known, or there is no camera.
 pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureError> {
     let is_folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if is_folder { path } else { super::folder_of(path) };

@@ -31,7 +31,8 @@ pub(super) fn find_incomplete(root: &Path) -> Option<(PathBuf, String, &'static 
     })
 }
 
-/// Further models beside that in `folder`, in order: COLMAP's mapper numbers them, one for each set of photographs that it cannot connect with others.
+/// Further models beside that in `folder`, in order: COLMAP's mapper numbers them, one for each set of photographs that
+/// it cannot connect with others.
 pub(super) fn further_models(folder: &Path) -> Vec<PathBuf> {
     if folder.file_name().is_none_or(|name| name != "0") {
         return vec![];

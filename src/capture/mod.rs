@@ -11,7 +11,9 @@ mod colmap_records;
 mod colmap_text;
 mod distortion;
 mod error;
+mod image_file;
 mod images;
+mod masks;
 mod photo;
 mod transforms;
 mod views;
@@ -139,7 +141,8 @@ pub struct LoadOptions {
     pub without_points: bool,
 }
 
-/// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (INRIA 3DGS, `utils/general_utils.py`).
+/// Size of decoded pictures relative to their files, by Pillow's antialiased bicubic filter (INRIA 3DGS,
+/// `utils/general_utils.py`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Downscale {
     /// Full size, as stored.
@@ -229,10 +232,15 @@ pub fn fingerprint(folder: &Path, images: Option<&str>) -> Result<Option<u32>, C
     beside.sort();
     for (file, data) in beside.iter().filter_map(|file| Some((file, file.metadata().ok()?))) {
         let name = file.strip_prefix(folder).unwrap_or(file);
-        sum.update(name.as_os_str().as_encoded_bytes());
+        sum.update(&slashed(name.as_os_str().as_encoded_bytes(), cfg!(windows)));
         sum.update(&data.len().to_le_bytes());
     }
     Ok((!files.is_empty()).then(|| sum.sum()))
+}
+
+/// Bytes of a path, the same on all systems.
+fn slashed(path: &[u8], is_windows: bool) -> Vec<u8> {
+    path.iter().map(|&byte| if is_windows && byte == b'\\' { b'/' } else { byte }).collect()
 }
 
 /// Coarsest acceptable spacing of f32 coordinates, relative to the scene's size: a quarter of a pixel in pictures of a
@@ -251,9 +259,9 @@ const COARSEST: f64 = 2.5e-4;
 /// the intrinsics are scaled to the file.
 ///
 /// # Errors
-/// If a file is missing, truncated or malformed, masks are labels of several things or all black, a camera model cannot be undistorted, a pose is
-/// no rigid motion, a name leaves the capture's folder or occurs twice, cameras are too far from the origin for 32-bit floats, or there are fewer
-/// than two views.
+/// If a file is missing, truncated or malformed, masks are labels of several things or all black, a camera model cannot
+/// be undistorted, a pose is no rigid motion, a name leaves the capture's folder or occurs twice, cameras are too far
+/// from the origin for 32-bit floats, or there are fewer than two views.
 pub fn open(path: &Path, options: &LoadOptions) -> Result<Capture, CaptureError> {
     let folder = std::fs::metadata(path).map_err(|source| CaptureError::Io { path: path.into(), source })?.is_dir();
     let root = if folder { path } else { folder_of(path) };
@@ -345,16 +353,19 @@ pub(crate) fn extent_or_depth<'a>(cameras: impl IntoIterator<Item = &'a Camera>,
 
 /// Photographs that are decoded at once, where all are looked at: while they are, they have their full size.
 pub(crate) const DECODED_AT_ONCE: usize = 4;
-/// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a pixel of a thousand.
+/// Extent of cameras, as a part of how far away is what they see, up to which they are in one place: it moves by a
+/// pixel of a thousand.
 const ONE_PLACE: f64 = 1e-3;
-/// Centres follow from rotations and translations, which files round to some eight digits: part of their distance from the origin up to which they
-/// are one.
+/// Centres follow from rotations and translations, which files round to some eight digits: part of their distance from
+/// the origin up to which they are one.
 const ROUNDED: f64 = 5e-8;
 
 #[cfg(test)]
 mod colmap_tests;
 #[cfg(test)]
 mod distortion_tests;
+#[cfg(test)]
+mod testing;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -15,11 +15,11 @@ pub struct Photo {
     /// `[height·width·4]`, rows from the top: sRGB-encoded colour, and A, which is straight alpha, a mask
     /// (255 = use this pixel) or their product. Colour is undefined where A is 0.
     pub rgba: Vec<u8>,
-    /// Some pixel of the file is transparent: A is opacity over an unknown background. What an undistorted frame shows outside of such a
-    /// photograph, if anything, is transparent, too, as what is around an object that was cut out.
+    /// Some pixel of the file is transparent: A is opacity over an unknown background. What an undistorted frame shows
+    /// outside of such a photograph, if anything, is transparent, too, as what is around an object that was cut out.
     pub has_alpha: bool,
-    /// A mask was applied, or the undistorted frame reaches outside a photograph without alpha, as it does only of the most distorted
-    /// (see [`Lens::pinhole`](super::Lens::pinhole)): A is how far a pixel counts.
+    /// A mask was applied, or the undistorted frame reaches outside a photograph without alpha, as it does only of the
+    /// most distorted (see [`Lens::pinhole`](super::Lens::pinhole)): A is how far a pixel counts.
     pub masked: bool,
 }
 
@@ -47,8 +47,8 @@ impl Photo {
         [0, 1, 2, 3].map(|c| f32::from(self.rgba[4 * pixel + c]) / 255.0)
     }
 
-    /// Colour, sRGB-encoded, of a pixel that is all there: where A is less than 255 it is mixed with what is not known. `None` also where there
-    /// is no such pixel.
+    /// Colour, sRGB-encoded, of a pixel that is all there: where A is less than 255 it is mixed with what is not known.
+    /// `None` also where there is no such pixel.
     pub(crate) fn whole(&self, pixel: usize) -> Option<[u8; 3]> {
         match *self.rgba.get(4 * pixel..4 * pixel + 4)? {
             [r, g, b, 255] => Some([r, g, b]),
@@ -56,8 +56,9 @@ impl Photo {
         }
     }
 
-    /// Colour at a continuous pixel position, sRGB-encoded, in 0 to 1, between the centres of pixels; at the border that of the last. `None`
-    /// where a pixel there has none, A being 0, as where undistortion reached outside the photograph.
+    /// Colour at a continuous pixel position, sRGB-encoded, in 0 to 1, between the centres of pixels; at the border
+    /// that of the last. `None` where a pixel there has none, A being 0, as where undistortion reached outside the
+    /// photograph.
     ///
     /// # Panics
     /// If the picture says that it has more pixels than it has.

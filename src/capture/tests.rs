@@ -353,6 +353,12 @@ fn a_photograph_is_one_view_however_its_path_is_written() {
     }
 }
 
+#[test]
+fn fingerprints_are_the_same_on_all_systems() {
+    assert_eq!(slashed(br"images\a/b.png", true), b"images/a/b.png");
+    assert_eq!(slashed(br"images/a\b.png", false), br"images/a\b.png");
+}
+
 /// A copy has the fingerprint of the capture, until a photograph, a mask or the points change.
 #[test]
 fn fingerprints_are_of_photographs_masks_and_points_too() {

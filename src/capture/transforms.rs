@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use super::distortion::{Distortion, Lens};
 use super::views::{Frame, inside};
-use super::{CaptureError, Listed, LoadOptions, Point, error, images};
+use super::{CaptureError, Listed, LoadOptions, Point, error, image_file};
 use crate::{
     format::ply,
     scene::{Intrinsics, frame::OPENGL_FROM_OPENCV, nearest_rotation},
@@ -326,13 +326,13 @@ fn lens(
         (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
         // Missing images are reported together later, so any size will do here.
         _ if !image.is_file() => (1, 1),
-        _ if whole.is_file() => images::header(whole)?.stored().1,
+        _ if whole.is_file() => image_file::header(whole)?.stored().1,
         // Angles apply to any size, but lengths in pixels only to that of the whole image.
         _ if value(|l| l.fl_x).or(value(|l| l.fl_y)).or(value(|l| l.cx)).or(value(|l| l.cy)).is_some() => {
             let expected = "w and h beside fl_x, because the photographs are missing";
             return Err(CaptureError::invalid(path, at, expected, "neither"));
         }
-        _ => images::header(image)?.stored().1,
+        _ => image_file::header(image)?.stored().1,
     };
     let (w, h) = (f64::from(width), f64::from(height));
     // A frame's value for one axis applies to both, as in instant-ngp.

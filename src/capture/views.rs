@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::distortion::Lens;
-use super::{CaptureError, ImageSource, LoadOptions, View, images};
+use super::{CaptureError, ImageSource, LoadOptions, View, image_file, masks};
 use crate::scene::{Camera, frame};
 
 /// A posed picture as stated by a capture's files.
@@ -99,7 +99,7 @@ pub(super) fn assemble(
             let place = if folder.is_dir() { &folder } else { root };
             all_exist(place, "masks", frames.iter().map(|f| (Path::new(&f.name), f.mask.is_some())))?;
         }
-        images::check_masks(&masks().collect::<Vec<_>>())?;
+        masks::check_masks(&masks().collect::<Vec<_>>())?;
     }
     frames.into_par_iter().map(|frame| view(frame, options)).collect()
 }
@@ -141,11 +141,11 @@ pub(super) fn view(frame: Frame, options: &LoadOptions) -> Result<View, CaptureE
     let Frame { name, list, at: _, image, mask, lens, has_size: _, rotation, translation, held_out, time, sees } =
         frame;
     let declared = (lens.intrinsics.width, lens.intrinsics.height);
-    let header = images::header(&image)?;
+    let header = image_file::header(&image)?;
     // COLMAP, nerfstudio and instant-ngp read pictures as stored, so poses refer to those, whatever EXIF says; for
     // pictures that were rotated before by a program that left the note, only the upright one fits.
     let ways = [header.stored(), header.upright()];
-    let (orientation, (width, height)) = images::fitting(ways, declared).ok_or_else(|| {
+    let (orientation, (width, height)) = image_file::fitting(ways, declared).ok_or_else(|| {
         let (_, (w, h)) = header.stored();
         let expected = format!("the aspect ratio of its camera, {}×{}", declared.0, declared.1);
         CaptureError::invalid(&image, "image size", expected, format!("{w}×{h}"))

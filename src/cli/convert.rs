@@ -1,6 +1,6 @@
 mod placing;
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use centaur::atomic::{self, Staging, folder_of};
@@ -28,7 +28,7 @@ Examples:
   centaur convert head.glb mitsuba/smile.xml --time 1.5
   centaur convert fox.glb fox.blend.py --animation Run
   centaur convert scan.ply scan.glb --axes z-up:y-down --scale 0.01
-  centaur convert garden.ply small.ply --keep-sphere 0,0,0,3 --decimate 25% --sh-degree 1";
+  centaur convert garden.ply small.ply --keep-sphere=0,0,0,3 --decimate 25% --sh-degree 1";
 
 const USAGE: &str = "\
 centaur convert [OPTIONS] <INPUT>... <OUTPUT>
@@ -144,12 +144,23 @@ impl Args {
             (None, Some((output, inputs))) if !inputs.is_empty() => (inputs, output),
             _ => return Err(usage::wrong("expected files to read and one to write, found one; --help says more")),
         };
+        if let Some(pattern) = unexpanded(inputs, cfg!(windows)) {
+            let expected = "expected the names of files: this shell does not replace * and ? by them";
+            return Err(usage::wrong(format!("{}: {expected}", pattern.display())));
+        }
         let format = format_of(output).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
         // Shells may expand `*.ply` so that the last file is an input, which would be overwritten.
         let is_new = self.output.is_some() || inputs.len() == 1 || !output.is_file();
         ensure!(is_new, "{}: exists already: -o {} replaces it", output.display(), output.display());
         Ok(Files { inputs, output, format })
     }
+}
+
+/// First of the inputs with `*` or `?` in its name, which no file has on Windows, where shells leave them as they are.
+fn unexpanded(inputs: &[PathBuf], is_windows: bool) -> Option<&Path> {
+    let is_pattern =
+        |part: Component<'_>| matches!(part, Component::Normal(name) if name.to_string_lossy().contains(['*', '?']));
+    inputs.iter().map(PathBuf::as_path).find(|path| is_windows && path.components().any(is_pattern))
 }
 
 /// Format in which a file of this name is written.
@@ -304,7 +315,8 @@ fn read(
     Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
 }
 
-/// Says so where the second of two names, as shells make them of `*.ply`, is that of a scene of the same kind, which is gone.
+/// Says so where the second of two names, as shells make them of `*.ply`, is that of a scene of the same kind, which is
+/// gone.
 fn replaced(args: &Args, Files { inputs, output, .. }: Files<'_>) -> Option<String> {
     let [input] = inputs else { return None };
     let is_alike = input.extension().is_some() && input.extension() == output.extension();
@@ -312,7 +324,8 @@ fn replaced(args: &Args, Files { inputs, output, .. }: Files<'_>) -> Option<Stri
     is_lost.then(|| "existed before and is replaced: the last file is the one to write".to_owned())
 }
 
-/// How many times as large as what it was made of a glTF is that is noted: where pictures of a few kilobytes have become maps, or splats were compressed.
+/// How many times as large as what it was made of a glTF is that is noted: where pictures of a few kilobytes have
+/// become maps, or splats were compressed.
 const LARGER: u64 = 10;
 
 /// Says why a glTF that is written anew is so much larger than it was.
@@ -450,4 +463,16 @@ fn described(o: &Outcome<'_>) -> String {
         lines.push(format!("beside it: {}", o.beside.join(", ")));
     }
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_are_no_names_on_windows() {
+        let inputs = ["a.ply", "b/*.ply", "?.ply"].map(PathBuf::from);
+        assert_eq!(unexpanded(&inputs, true), Some(Path::new("b/*.ply")));
+        assert_eq!([unexpanded(&inputs, false), unexpanded(&inputs[..1], true)], [None, None]);
+    }
 }

@@ -2,6 +2,8 @@
 //! leave no temporary files behind.
 
 use std::io::{self, IsTerminal as _, Write as _};
+#[cfg(unix)]
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -51,16 +53,24 @@ pub(super) fn handle() -> Result<()> {
     Ok(())
 }
 
-/// Whether `nohup` or a shell has set hangups to be ignored, which is then kept: according to Linux or, elsewhere,
-/// assumed if no message goes to a terminal.
+/// Whether `nohup` or a shell has set hangups to be ignored, which is then kept: according to Linux or, elsewhere, to a
+/// child.
 #[cfg(unix)]
 fn ignores_hangups() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     match mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()) {
         Some(mask) => mask & (1 << (SIGHUP - 1)) != 0,
-        None => !io::stderr().is_terminal(),
+        None => child_ignores_hangups(),
     }
+}
+
+/// Whether a child, which inherits what is ignored, survives a hangup.
+#[cfg(unix)]
+fn child_ignores_hangups() -> bool {
+    let mut child = Command::new("/bin/sh");
+    child.args(["-c", "kill -HUP $$"]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    child.status().is_ok_and(|status| status.success())
 }
 
 /// Flag for a command to poll, which the next signal sets instead of ending the program; a further signal ends it.
@@ -79,7 +89,8 @@ pub(super) struct Stopped {
     pub(super) exit_code: u8,
 }
 
-/// The end of one whose last words are `printed`, also where nobody reads them: by the signal that asked, or as if by Ctrl-C where none did.
+/// The end of one whose last words are `printed`, also where nobody reads them: by the signal that asked, or as if by
+/// Ctrl-C where none did.
 pub(super) fn stopped(printed: Result<()>) -> Result<()> {
     match printed {
         Err(error) if !output::is_read_enough(&error) => Err(error),
@@ -90,8 +101,8 @@ pub(super) fn stopped(printed: Result<()>) -> Result<()> {
     }
 }
 
-/// Says on stderr that the signal was heard, since a step may take minutes; with --quiet, too, which is of what nobody asked for. By a thread
-/// of its own: where nobody reads stderr, the next signal is heard all the same.
+/// Says on stderr that the signal was heard, since a step may take minutes; with --quiet, too, which is of what nobody
+/// asked for. By a thread of its own: where nobody reads stderr, the next signal is heard all the same.
 fn acknowledge() {
     let _ = std::thread::Builder::new().spawn(|| {
         let mut stderr = io::stderr();
@@ -124,4 +135,13 @@ fn obey(signal: i32) {
     let _ = signal_hook::low_level::emulate_default_handler(signal);
     // Exit code by the convention of shells.
     std::process::exit(128 + signal);
+}
+
+#[cfg(test)]
+mod tests {
+    #[cfg(unix)]
+    #[test]
+    fn a_child_tells_as_well_as_linux_whether_hangups_are_ignored() {
+        assert_eq!(super::child_ignores_hangups(), super::ignores_hangups());
+    }
 }

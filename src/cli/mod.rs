@@ -1,5 +1,5 @@
-//! One file per subcommand. Exit codes: 0 done, 1 failure, which the last line on stderr tells, 2 wrong usage, 3 jobs of
-//! `bench` that another runner is at, 128 + n stopped by signal n.
+//! One file per subcommand. Exit codes: 0 done, 1 failure, which the last line on stderr tells, 2 wrong usage, 3 jobs
+//! of `bench` that another runner is at, 128 + n stopped by signal n.
 
 mod bench;
 mod cameras;
@@ -37,7 +37,7 @@ First steps:
   centaur render scene.glb -o frames                    # images of the scene
   centaur convert scene.glb scene.ply --no-mesh         # its splats, for other programs
 
-Exit codes: 0 success, 1 failure (the last line on stderr begins with `error:` and gives the reason), 2 wrong usage, 3 jobs of `bench` that another runner is still working on, 130 stopped by Ctrl-C (129 by SIGHUP, 143 by SIGTERM; a stopped training has saved a checkpoint or its scene).";
+Exit codes: 0 success, 1 failure (the last line on stderr begins with `error:` and gives the reason), 2 wrong usage, 3 jobs of `bench` that another runner is still working on, 130 stopped by Ctrl-C (129 by SIGHUP, 143 by SIGTERM; a stopped training has saved a checkpoint or its scene; on Windows, closing the window saves neither).";
 
 /// Train, score, render and convert hybrid scenes: textured, semi-transparent meshes and 3D Gaussian splats, blended in
 /// one depth order.
@@ -101,7 +101,8 @@ impl Command {
 /// Exit code of wrong usage, the same as clap's.
 const WRONG_USAGE: u8 = 2;
 
-/// Exit code where jobs of `centaur bench` are another runner's: to whoever runs it no failure, but a reason to ask again.
+/// Exit code where jobs of `centaur bench` are another runner's: to whoever runs it no failure, but a reason to ask
+/// again.
 const LEFT_TO_ANOTHER: u8 = 3;
 
 pub(crate) fn main() -> ExitCode {

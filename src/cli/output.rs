@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::atomic::{self, folder_of};
-use centaur::format::one_line;
+use centaur::format::{is_device, one_line};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use indicatif::ProgressBar;
 
@@ -70,6 +70,10 @@ pub(super) fn check_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         bail!("{}: expected the name of a file, found a folder", path.display());
     }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    if let Some(found) = forbidden(&name, cfg!(windows)) {
+        bail!("{}: expected a name that Windows allows, found {found}", path.display());
+    }
     let cannot = || format!("{}: cannot write", path.display());
     probe(folder_of(&atomic::place_of(path).with_context(cannot)?)).with_context(cannot)?;
     match path.symlink_metadata() {
@@ -77,6 +81,14 @@ pub(super) fn check_file(path: &Path) -> Result<()> {
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e).with_context(cannot),
         _ => Ok(()),
     }
+}
+
+/// What is in the name of a file that Windows does not allow, and would refuse only when the complete file is renamed.
+fn forbidden(name: &str, is_windows: bool) -> Option<String> {
+    let is_special = |c: &char| matches!(c, ':' | '*' | '?' | '"' | '<' | '>' | '|');
+    let special = || name.chars().find(is_special).map(|c| format!("`{c}` in it"));
+    let device = || is_device(name).then(|| "the name of a device".to_owned());
+    if is_windows { special().or_else(device) } else { None }
 }
 
 /// Rejects a folder that is neither writable nor can be created. Its parent must exist, so that no mistyped path is
@@ -113,9 +125,12 @@ impl Drop for Folder {
 
 /// Rejects writing `output` over one of `inputs`, which would be lost.
 pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
-    // A path that does not exist cannot be canonicalised, and nothing can be lost there.
-    let Ok(place) = output.canonicalize() else { return Ok(()) };
-    if let Some(input) = inputs.into_iter().find(|input| input.canonicalize().is_ok_and(|input| input == place)) {
+    // Nothing can be lost there.
+    if !output.exists() {
+        return Ok(());
+    }
+    let place = atomic::real_path(output).with_context(|| format!("{}: cannot write", output.display()))?;
+    if let Some(input) = inputs.into_iter().find(|input| atomic::real_path(input).is_ok_and(|input| input == place)) {
         bail!("{}: expected another file than {}, which would be lost", output.display(), input.display());
     }
     Ok(())
@@ -123,9 +138,8 @@ pub(super) fn spare<'a>(output: &Path, inputs: impl IntoIterator<Item = &'a Path
 
 /// Whether two paths, which need not exist yet, lead to the same place.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
-    let place = |path: &Path| {
-        path.canonicalize().ok().or_else(|| Some(folder_of(path).canonicalize().ok()?.join(path.file_name()?)))
-    };
+    let real = |path: &Path| atomic::real_path(path).ok();
+    let place = |path: &Path| real(path).or_else(|| Some(real(folder_of(path))?.join(path.file_name()?)));
     place(a).is_some_and(|a| place(b) == Some(a))
 }
 
@@ -195,6 +209,23 @@ mod tests {
         let error = check_file(&at("file/new.glb")).unwrap_err();
         assert!(format!("{error:#}").ends_with("file is not a folder"), "{error:#}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a probe was left behind");
+    }
+
+    #[test]
+    fn names_that_windows_does_not_allow_are_refused_there() {
+        for (name, found) in [
+            ("a:b.glb", "`:` in it"),
+            ("a*.glb", "`*` in it"),
+            ("a?.glb", "`?` in it"),
+            ("a\".glb", "`\"` in it"),
+            ("<a.glb", "`<` in it"),
+            ("a>.glb", "`>` in it"),
+            ("a|b.glb", "`|` in it"),
+            ("NUL.glb", "the name of a device"),
+        ] {
+            assert_eq!((forbidden(name, true).as_deref(), forbidden(name, false)), (Some(found), None), "{name}");
+        }
+        assert_eq!(forbidden("ä & (b).glb", true), None);
     }
 
     #[test]

@@ -28,7 +28,8 @@ impl Choice {
     }
 }
 
-/// What is behind a scene whose file does not say so, or in place of what it says. Both are the same in every colour space.
+/// What is behind a scene whose file does not say so, or in place of what it says. Both are the same in every colour
+/// space.
 #[derive(Clone, Copy, clap::ValueEnum)]
 pub(super) enum Backdrop {
     Black,
@@ -174,7 +175,7 @@ pub(super) fn turned(y_up: bool) -> Option<String> {
 /// What there is to say, beside a capture, of a mesh that `mesh_import` has left as it is stored.
 pub(super) fn as_stored(y_up: bool) -> Option<String> {
     y_up.then(|| {
-        "is a glTF of another program, usually y up, and taken as it is stored: where that is not the frame of the capture (y down), `centaur convert --rotate 180,0,0` rotates it"
+        "is a glTF of another program, usually y up, and taken as it is stored: where that is not the frame of the capture (y down), `centaur convert --rotate=180,0,0` rotates it"
             .to_owned()
     })
 }

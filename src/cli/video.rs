@@ -1,6 +1,6 @@
 //! Film made of images, by ffmpeg.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read as _, Seek as _, Write as _};
 use std::path::{Component, Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
@@ -58,8 +58,8 @@ pub(super) fn check(path: &Path, pictures: &Path, cameras: &[(String, Camera)]) 
         .status();
     if asked.is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
         bail!(
-            "{}: cannot be made: there is no ffmpeg on PATH; install it (apt-get install ffmpeg, brew install ffmpeg) or leave \
-             --video out, which leaves the pictures",
+            "{}: cannot be made: there is no ffmpeg on PATH; install it (apt-get install ffmpeg, brew install ffmpeg, winget \
+             install ffmpeg) or leave --video out, which leaves the pictures",
             path.display()
         );
     }
@@ -74,8 +74,8 @@ pub(super) enum Film {
     Stopped,
 }
 
-/// Encodes PNG files, in order, as an H.264 film with so many frames per second and pixels of this aspect ratio. Written
-/// atomically, unless `stop` is set before it is complete.
+/// Encodes PNG files, in order, as an H.264 film with so many frames per second and pixels of this aspect ratio.
+/// Written atomically, unless `stop` is set before it is complete.
 pub(super) fn write(path: &Path, pictures: &[PathBuf], (fps, aspect): (f64, f32), stop: &AtomicBool) -> Result<Film> {
     if stop.load(Ordering::Relaxed) {
         return Ok(Film::Stopped);
@@ -116,7 +116,7 @@ pub(super) fn write(path: &Path, pictures: &[PathBuf], (fps, aspect): (f64, f32)
     fed.with_context(|| format!("{}: not made: ffmpeg stopped reading", path.display()))?;
     let length = film.metadata().map_or(0, |made| made.len());
     ensure!(length > 0, "{}: not made: ffmpeg wrote nothing", path.display());
-    fs::rename(&film, place).with_context(named)?;
+    atomic::rename(&film, &place).with_context(named)?;
     Ok(Film::Made)
 }
 

@@ -1,8 +1,8 @@
 //! Edits of a scene: moving, filtering, thinning and joining. Pure functions in linear or n·log n time, whose results
 //! do not depend on the number of threads.
 //!
-//! Whatever chooses among splats returns their indices, to be taken with [`gather`](crate::scene::gather): what a file says about its splats
-//! besides their parameters can follow them.
+//! Whatever chooses among splats returns their indices, to be taken with [`gather`](crate::scene::gather): what a file
+//! says about its splats besides their parameters can follow them.
 
 mod axes;
 mod join;

@@ -18,7 +18,8 @@ impl Similarity {
     /// Identity; leaves all values bit for bit unchanged.
     pub const IDENTITY: Self = Self { scale: 1.0, orthogonal: DMat3::IDENTITY, translation: DVec3::ZERO };
 
-    /// Half a turn about x, [`OPENGL_FROM_OPENCV`]: from the frame of captures to a world that is y up, as those of glTF and USD are, and back.
+    /// Half a turn about x, [`OPENGL_FROM_OPENCV`]: from the frame of captures to a world that is y up, as those of
+    /// glTF and USD are, and back.
     pub const HALF_TURN: Self =
         Self { scale: 1.0, orthogonal: DMat3::from_diagonal(OPENGL_FROM_OPENCV), translation: DVec3::ZERO };
 

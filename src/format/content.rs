@@ -13,8 +13,8 @@ pub struct ReadOptions<'a> {
     /// that hold such splats are refused.
     pub drop_invalid: bool,
     /// Whether the document of a glTF is kept in [`SceneFile::source`](super::SceneFile::source), so that
-    /// [`write_scene`](super::write_scene) can write it again. Its buffers stay in the file, which is kept open: the file
-    /// may be replaced meanwhile, but modifying it in place is an error on use.
+    /// [`write_scene`](super::write_scene) can write it again. Its buffers stay in the file, which is kept open: the
+    /// file may be replaced meanwhile, but modifying it in place is an error on use.
     pub keep_document: bool,
     /// Time in seconds at which the animations of a glTF pose the scene and its cameras; `None`: rest pose.
     pub time: Option<f64>,

@@ -6,8 +6,8 @@ use std::path::Path;
 use super::error::{Fault, no_scene, open_file};
 use super::{Format, FormatError, sog, usd};
 
-/// Finds the format of a scene file by its first bytes: `.splat` and `.ksplat`, which have no signature, and the `meta.json`
-/// or `lod-meta.json` of a SOG folder are recognised by the file name.
+/// Finds the format of a scene file by its first bytes: `.splat` and `.ksplat`, which have no signature, and the
+/// `meta.json` or `lod-meta.json` of a SOG folder are recognised by the file name.
 ///
 /// # Errors
 /// If the file cannot be read or is of no format that [`read_file`](super::read_file) reads.

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use crate::scene::PixelFilter;
 
-/// Format of a scene file. [`Self::of_path`] is that of a file to be written, [`detect`](super::detect()) finds that of a
-/// file to be read.
+/// Format of a scene file. [`Self::of_path`] is that of a file to be written, [`detect`](super::detect()) finds that of
+/// a file to be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// Binary glTF, `.glb`.
@@ -129,8 +129,8 @@ impl Format {
         matches!(self, Self::Glb | Self::Gltf)
     }
 
-    /// Whether it holds meshes, cameras and the composition, not splats alone. Of the composition formats of splats alone
-    /// state at most the pixel filter, and nothing in units of length; readers take defaults for the rest.
+    /// Whether it holds meshes, cameras and the composition, not splats alone. Of the composition formats of splats
+    /// alone state at most the pixel filter, and nothing in units of length; readers take defaults for the rest.
     #[must_use]
     pub fn holds_meshes(self) -> bool {
         match self {

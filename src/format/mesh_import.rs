@@ -39,7 +39,8 @@ pub struct ImportedMesh {
 /// * `.glb`, `.gltf`: all triangle primitives of the default scene, transformed by their nodes, including instances;
 ///   skins and morph targets in rest pose.
 /// * `.obj`: all faces; polygons are cut into triangles.
-/// * `.ply`: ASCII or binary, `face` lists; UVs per face (`texcoord`) or per vertex (`s t`, `u v`, `texture_u texture_v`).
+/// * `.ply`: ASCII or binary, `face` lists; UVs per face (`texcoord`) or per vertex (`s t`, `u v`,
+///   `texture_u texture_v`).
 ///
 /// # Errors
 /// If the file cannot be read, is malformed, or has no triangle.

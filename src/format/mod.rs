@@ -42,7 +42,7 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 pub use attribute::Attribute;
-pub use cameras::{CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, frame_count, picture_names};
+pub use cameras::{CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, frame_count, is_device, picture_names};
 pub use content::{ReadOptions, SplatFile};
 pub use detect::detect;
 pub use error::{Fault, FormatError, Location, one_line, some_of};

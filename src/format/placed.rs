@@ -33,7 +33,8 @@ pub(super) fn join(parts: Vec<(String, SplatArrays)>) -> Result<Splats, Fault> {
     all.check().map_err(|e| Fault::from(e).of_part(places.iter().map(|(count, at)| (*count, at.as_str()))))
 }
 
-/// A scene of a world that is y up in the frame of the capture, half a turn about x away, or back. Nothing changes but in its sign.
+/// A scene of a world that is y up in the frame of the capture, half a turn about x away, or back. Nothing changes but
+/// in its sign.
 pub(super) fn half_turned(scene: HybridScene) -> Result<HybridScene, SceneError> {
     let HybridScene { splats, meshes, composition } = scene;
     let orthogonal = DMat3::from_diagonal(OPENGL_FROM_OPENCV);

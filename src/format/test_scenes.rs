@@ -120,8 +120,8 @@ fn deflated(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// Reads a file of a y-up world with one triangle and one camera, as two tests write it for glTF and USD, and asserts that
-/// both are in the frame of captures. `y_up` is whether the file says so.
+/// Reads a file of a y-up world with one triangle and one camera, as two tests write it for glTF and USD, and asserts
+/// that both are in the frame of captures. `y_up` is whether the file says so.
 #[track_caller]
 pub(super) fn read_turned(path: &Path, y_up: bool) -> SceneFile {
     let file = read_file(path, &ReadOptions::default()).unwrap();

@@ -35,12 +35,13 @@ pub struct WriteOptions<'a> {
 /// Writes a scene in the format of the file's name, see [`Format::of_path`]; it is one of [`Format::WRITABLE`], or
 /// compressed PLY.
 ///
-/// The scene and its cameras are taken to be in the frame of captures, y down, as [`read_scene`](super::read_scene) gives
-/// it and training makes it. glTF and USD are y up: they get it turned half about x, so that viewers show it upright. Splats
-/// alone are written as they are.
+/// The scene and its cameras are taken to be in the frame of captures, y down, as [`read_scene`](super::read_scene)
+/// gives it and training makes it. glTF and USD are y up: they get it turned half about x, so that viewers show it
+/// upright. Splats alone are written as they are.
 ///
 /// # Errors
-/// If the name is of no such format, the file cannot be written, the composition is not valid, or the format's limits are exceeded.
+/// If the name is of no such format, the file cannot be written, the composition is not valid, or the format's limits
+/// are exceeded.
 pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
     scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
     // Accompanying files are placed beside the target of a symbolic link, unless that target has another extension.
@@ -122,8 +123,8 @@ fn write_blend_script(
     Ok(exported(report, options.source.filter(|_| moving.is_none())))
 }
 
-/// Adds the loss of the animations of `still`, a document whose scene keeps still in a rendering program. Loss means there
-/// what images lack: exports are not read back as scenes.
+/// Adds the loss of the animations of `still`, a document whose scene keeps still in a rendering program. Loss means
+/// there what images lack: exports are not read back as scenes.
 fn exported(report: WriteReport, still: Option<&gltf::Source>) -> WriteReport {
     let document = still.map_or_else(Vec::new, gltf::Source::motion);
     WriteReport { loss: Loss { document, ..report.loss }, ..report }
@@ -144,8 +145,8 @@ fn of_linear_values(splats: &Splats) -> Loss {
     Loss { max_error, ..Loss::default() }
 }
 
-/// Adds the loss common to formats of splats alone. Without meshes, only the background, the near plane, the colour space
-/// and the pixel filter of the composition matter; their loss counts if they differ from the defaults.
+/// Adds the loss common to formats of splats alone. Without meshes, only the background, the near plane, the colour
+/// space and the pixel filter of the composition matter; their loss counts if they differ from the defaults.
 fn beside_splats(format: Format, scene: &HybridScene, options: &WriteOptions<'_>, report: WriteReport) -> WriteReport {
     let is = &scene.composition;
     let usual = Composition { pixel_filter: format.pixel_filter_kept(is.pixel_filter), ..Composition::default() };

@@ -41,8 +41,8 @@ pub struct ClosestPoint {
 
 /// A bounding volume hierarchy over the triangles of one or several meshes, both sides visible.
 ///
-/// The boxes are f32, relative to the centre of the scene, in units of its radius, and padded so that rounding cannot lose a
-/// triangle; the intersections are f64 from the f32 vertices.
+/// The boxes are f32, relative to the centre of the scene, in units of its radius, and padded so that rounding cannot
+/// lose a triangle; the intersections are f64 from the f32 vertices.
 pub struct MeshBvh {
     /// Tree over distinct boxes: the builder takes time quadratic in the number of equal ones.
     tree: Bvh2,

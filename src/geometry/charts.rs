@@ -64,8 +64,8 @@ fn members(chart_of: &[u32]) -> Vec<Vec<u32>> {
     members
 }
 
-/// Per triangle the neighbour across the edge from corner k to k+1. Corners at the same position are one vertex. An edge
-/// of more than two triangles, or of two that run along it in the same direction, is a border.
+/// Per triangle the neighbour across the edge from corner k to k+1. Corners at the same position are one vertex. An
+/// edge of more than two triangles, or of two that run along it in the same direction, is a border.
 fn neighbors(corners: &[[DVec3; 3]]) -> Vec<[u32; 3]> {
     let vertices = first_at_place(corners.as_flattened().iter().copied());
     let (vertices, _) = vertices.as_chunks::<3>();

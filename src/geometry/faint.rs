@@ -12,10 +12,10 @@ use crate::scene::{Mesh, sigmoid};
 /// From this part of the way to a point on, what is met is behind that point and not beside it.
 const BEHIND: f64 = 1.0 + 1e-6;
 
-/// Which triangles `[F]` have a mean opacity below `least`, in 0..=1, over the texels of the finest level whose centres lie in
-/// them, and have no triangle behind them that is not such a one, as any of the `viewers` sees it. Only a pixel's first layers are drawn, be
-/// they as many as they may: with a faint triangle gone one behind it would come to be drawn, of which nobody has trained what it shows
-/// from there.
+/// Which triangles `[F]` have a mean opacity below `least`, in 0..=1, over the texels of the finest level whose centres
+/// lie in them, and have no triangle behind them that is not such a one, as any of the `viewers` sees it. Only a
+/// pixel's first layers are drawn, be they as many as they may: with a faint triangle gone one behind it would come to
+/// be drawn, of which nobody has trained what it shows from there.
 #[must_use]
 pub fn faint_triangles(mesh: &Mesh, least: f64, viewers: &Viewers) -> Vec<bool> {
     let base = mesh.atlas().base();

@@ -200,7 +200,8 @@ impl Fusion {
     /// truncation.
     ///
     /// # Errors
-    /// If the map does not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not fused.
+    /// If the map does not have the size of the camera's image, or the blocks exceed `max_bytes`; the view is then not
+    /// fused.
     pub fn integrate(&mut self, camera: &Camera, depth: &[f32]) -> Result<(), GeometryError> {
         let k = camera.intrinsics();
         let pixels = k.pixels();

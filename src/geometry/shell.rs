@@ -65,8 +65,9 @@ impl Shell {
         (point.as_dvec3().distance(self.center) / self.radius - 1.0).abs() < 0.01
     }
 
-    /// The surface with those triangles of the shell that at least two of the viewers see past it, wound to be seen from within. What of
-    /// the surface is farther than a quarter of the way to the shell goes: depth hardly shows there, and the shell takes its place.
+    /// The surface with those triangles of the shell that at least two of the viewers see past it, wound to be seen
+    /// from within. What of the surface is farther than a quarter of the way to the shell goes: depth hardly shows
+    /// there, and the shell takes its place.
     #[must_use]
     pub fn around_surface(&self, mut surface: Surface, viewers: &Viewers) -> Surface {
         let is_within = |p: &Vec3| p.as_dvec3().distance(self.center) <= FARTHEST_SURFACE * self.radius;

@@ -14,7 +14,8 @@ pub struct Viewers<'a> {
     pub near: f64,
     /// Triangles that a pixel shows, nearest first, at least 1: what as many others hide is not seen.
     pub layers: usize,
-    /// Whether the picture of a camera, by its index, says anything at a continuous pixel position inside it, as not where it is masked.
+    /// Whether the picture of a camera, by its index, says anything at a continuous pixel position inside it, as not
+    /// where it is masked.
     pub shows: &'a (dyn Fn(usize, DVec2) -> bool + Sync),
 }
 
@@ -28,8 +29,8 @@ impl<'a> Viewers<'a> {
         Self { cameras, near, layers, shows: EVERYWHERE }
     }
 
-    /// The way on which a camera, by its index, looks at a point in world space. `None` if that is not in its picture, no farther than
-    /// `near`, or where the picture says nothing.
+    /// The way on which a camera, by its index, looks at a point in world space. `None` if that is not in its picture,
+    /// no farther than `near`, or where the picture says nothing.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -42,8 +43,8 @@ impl<'a> Viewers<'a> {
     }
 }
 
-/// The way from a camera to a point, and on behind it: parts of the way are 0 at the camera's centre and 1 at the point. What is no farther
-/// than the near plane is not drawn, and not in the way.
+/// The way from a camera to a point, and on behind it: parts of the way are 0 at the camera's centre and 1 at the
+/// point. What is no farther than the near plane is not drawn, and not in the way.
 #[derive(Clone, Copy, Debug)]
 pub struct Sight {
     /// The point in camera space.
@@ -57,7 +58,8 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// To a point in world space, be it in the camera's picture or not. What is no farther than `near`, in camera-space z, is not drawn.
+    /// To a point in world space, be it in the camera's picture or not. What is no farther than `near`, in camera-space
+    /// z, is not drawn.
     #[must_use]
     pub fn to(camera: &Camera, point: DVec3, near: f64) -> Self {
         Self::new(camera, point, camera.to_camera(point), near)
@@ -68,7 +70,8 @@ impl Sight {
         Self { in_camera, way: point - eye, eye, near: near / in_camera.z }
     }
 
-    /// Whether fewer than `layers` triangles are before the point. Those in the last part `same_place` of the way are where it is.
+    /// Whether fewer than `layers` triangles are before the point. Those in the last part `same_place` of the way are
+    /// where it is.
     #[must_use]
     pub fn is_clear(&self, triangles: &MeshBvh, layers: usize, same_place: f64) -> bool {
         !triangles.has_layers(layers, self.eye, self.way, self.near, 1.0 - same_place)

@@ -327,7 +327,8 @@ fn judged_at_once(
     views.par_iter().zip(seen).for_each(|(view, seen)| {
         let origin = view.camera.center();
         for &point in seen {
-            // The ray's parameter is 1 at the point. No [`super::Sight`]: lists name points outside pictures, too, as lenses showed them.
+            // The ray's parameter is 1 at the point. No [`super::Sight`]: lists name points outside pictures, too, as
+            // lenses showed them.
             let along = points[point as usize].as_dvec3() - origin;
             for hit in bvh.hits_before(origin, along, 1.0 - IN_THE_WAY) {
                 hidden[hit.mesh as usize][hit.triangle as usize].fetch_add(1, Ordering::Relaxed);

@@ -6,8 +6,8 @@ use meshopt::{SimplifyOptions, VertexDataAdapter};
 use crate::scene::without_unused;
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
-/// outside. Unchecked: unwrapping refuses triangles with an index out of range, tidying drops them; other functions ask for indices in range, and
-/// panic without.
+/// outside. Unchecked: unwrapping refuses triangles with an index out of range, tidying drops them; other functions ask
+/// for indices in range, and panic without.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
     /// World positions.

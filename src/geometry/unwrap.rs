@@ -81,8 +81,8 @@ impl ChartSpace {
 /// at most [`WIDEST_GUTTER`], where that costs little resolution; see [`UnwrapStats::gutter`].
 ///
 /// # Errors
-/// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in 16..=[`Texture::MAX_SIDE`], or
-/// the charts do not fit even with the narrowest gutters.
+/// If there is no triangle, an index is out of range, a position is not finite, `atlas_size` is not in
+/// 16..=[`Texture::MAX_SIDE`], or the charts do not fit even with the narrowest gutters.
 pub fn unwrap(
     surface: &Surface,
     charts_in: Option<&ChartSpace>,

@@ -21,8 +21,9 @@ use crate::{
     scene::{SceneError, sh},
 };
 
-/// Version of the layout and of the rules that a run goes on by: written, and the only one that is read. An option that a checkpoint does not
-/// hold has its default when a run goes on: a new one, whose default is not what was done before there was one, is such a rule.
+/// Version of the layout and of the rules that a run goes on by: written, and the only one that is read. An option that
+/// a checkpoint does not hold has its default when a run goes on: a new one, whose default is not what was done before
+/// there was one, is such a rule.
 pub const VERSION: u32 = 18;
 
 /// Key of [`Header`] in the file's metadata.
@@ -119,7 +120,7 @@ impl Checkpoint {
             // Flushed to disk before it replaces the old file.
             let out = out.into_inner();
             out.flush()?;
-            out.get_ref().sync_all()
+            atomic::sync(out.get_ref())
         })
         .map(drop)
         .map_err(|source| CheckpointError::Io { path: path.into(), source })

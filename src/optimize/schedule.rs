@@ -237,7 +237,8 @@ impl Schedule {
     }
 }
 
-/// Learning rate of means after `t` iterations of a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm linear in t/n.
+/// Learning rate of means after `t` iterations of a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm
+/// linear in t/n.
 #[must_use]
 pub(super) fn position_rate(t: u32, iterations: u32) -> f64 {
     let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);

@@ -1,8 +1,8 @@
 //! Camera paths around a captured subject: from posed views to the frames of a shot.
 //!
-//! All are in the world of the views, whatever it is; up is where the views have theirs. A path never holds a number that
-//! is not finite: views that say too little give an error, which names the option that says the rest. Of a scene without
-//! views [`overview()`] makes some.
+//! All are in the world of the views, whatever it is; up is where the views have theirs. A path never holds a number
+//! that is not finite: views that say too little give an error, which names the option that says the rest. Of a scene
+//! without views [`overview()`] makes some.
 
 mod overview;
 mod rig;

@@ -11,7 +11,8 @@ const SIZE: [u32; 2] = [1024, 768];
 const FOV_Y: f64 = 45.0;
 /// How far the views look down, in degrees.
 const DOWN: f64 = 15.0;
-/// Part of the splats or vertices beyond each side of the box that does not count: what floats far away, as of trainings.
+/// Part of the splats or vertices beyond each side of the box that does not count: what floats far away, as of
+/// trainings.
 const BEYOND: f64 = 0.05;
 /// How much larger than that box what is seen is taken to be: its ends are of something.
 const MARGIN: f64 = 1.15;
@@ -29,9 +30,9 @@ pub struct Overview {
     pub radius: f64,
 }
 
-/// Views of a scene in a ring about it, a little above, all of which look at its middle. What it shows is the box in which nine tenths of
-/// splats, weighted by opacity, and of vertices are along each axis. Up is −y, as in the frame of captures, which scenes are read in; the
-/// first view looks towards +z.
+/// Views of a scene in a ring about it, a little above, all of which look at its middle. What it shows is the box in
+/// which nine tenths of splats, weighted by opacity, and of vertices are along each axis. Up is −y, as in the frame of
+/// captures, which scenes are read in; the first view looks towards +z.
 ///
 /// # Errors
 /// If there are no splats and no meshes.

@@ -112,7 +112,8 @@ pub fn render_parameters(scene: &HybridScene, camera: &Camera, parameters: &Para
     View::new(scene, camera, parameters).composite(scene.composition.background)
 }
 
-/// Projects splat `i` (Kerbl et al. 2023, eq. 5); `None` if it is not beyond `near` or contributes to no pixel anywhere.
+/// Projects splat `i` (Kerbl et al. 2023, eq. 5); `None` if it is not beyond `near` or contributes to no pixel
+/// anywhere.
 ///
 /// # Panics
 /// If there is no splat `i`.

@@ -64,8 +64,8 @@ impl Intrinsics {
         self.width.max(self.height)
     }
 
-    /// Of this vertical angle of view, in radians: square pixels, the principal point in the middle. Whether there can be such a lens is for
-    /// [`Camera::new`] and [`Camera::look_at`] to say.
+    /// Of this vertical angle of view, in radians: square pixels, the principal point in the middle. Whether there can
+    /// be such a lens is for [`Camera::new`] and [`Camera::look_at`] to say.
     #[must_use]
     pub fn from_fov_y(width: u32, height: u32, fov_y: f64) -> Self {
         let [w, h] = [width, height].map(f64::from);
@@ -143,10 +143,11 @@ impl Camera {
         Ok(Self { intrinsics, rotation: nearest_rotation(rotation), translation })
     }
 
-    /// A camera at `center` that looks at `target`, with `up` upwards in its picture; all are in world space. Up is −y (`DVec3::NEG_Y`) in
-    /// the frame of captures, in which [`read_scene`](crate::format::read_scene) has scenes.
+    /// A camera at `center` that looks at `target`, with `up` upwards in its picture; all are in world space. Up is −y
+    /// (`DVec3::NEG_Y`) in the frame of captures, in which [`read_scene`](crate::format::read_scene) has scenes.
     ///
-    /// `up` may have any length, and need not be across the view. Where it is along the view, or zero, any roll of the picture is taken.
+    /// `up` may have any length, and need not be across the view. Where it is along the view, or zero, any roll of the
+    /// picture is taken.
     ///
     /// # Errors
     /// As [`Self::new`], and if `target` is where `center` is, or `up` is not finite.
@@ -243,7 +244,8 @@ impl Camera {
     }
 }
 
-/// Camera→world of a camera that looks along `forward`, of length 1, with `up` upwards in its picture: right, down and forward.
+/// Camera→world of a camera that looks along `forward`, of length 1, with `up` upwards in its picture: right, down and
+/// forward.
 pub(crate) fn view_axes(forward: DVec3, up: DVec3) -> DMat3 {
     let right = forward.cross(up);
     // Straight up or down there is no level; any will do.
@@ -252,7 +254,8 @@ pub(crate) fn view_axes(forward: DVec3, up: DVec3) -> DMat3 {
     DMat3::from_cols(right, forward.cross(right), forward)
 }
 
-/// The rotation that a matrix is but for rounding and scale: axes of about one length at about right angles, as [`Camera::new`] takes them.
+/// The rotation that a matrix is but for rounding and scale: axes of about one length at about right angles, as
+/// [`Camera::new`] takes them.
 pub(crate) fn nearest_rotation(matrix: DMat3) -> DMat3 {
     let axes = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::normalize_or_zero);
     DMat3::from_quat(DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2])).normalize())

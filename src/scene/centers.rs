@@ -4,7 +4,8 @@ use glam::DVec3;
 
 use super::Camera;
 
-/// Mean of the centres of cameras in world space, and how far the farthest is from it in world units; zeros without cameras.
+/// Mean of the centres of cameras in world space, and how far the farthest is from it in world units; zeros without
+/// cameras.
 #[must_use]
 pub fn center_and_spread<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> (DVec3, f64) {
     let centers: Vec<DVec3> = cameras.into_iter().map(Camera::center).collect();

@@ -1,12 +1,12 @@
-//! The two frames that captures and files have: OpenCV's (x right, y down, z forward), which is that of scenes and cameras here, and OpenGL's
-//! (x right, y up, z backward), which is that of glTF and USD.
+//! The two frames that captures and files have: OpenCV's (x right, y down, z forward), which is that of scenes and
+//! cameras here, and OpenGL's (x right, y up, z backward), which is that of glTF and USD.
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use super::{Camera, sh};
 
-/// Factors of x, y and z by which OpenCV's axes (x right, y down, z forward) become OpenGL's (x right, y up, z backward), of a world as of a
-/// camera: half a turn about x. Its own inverse, and exact in floating point.
+/// Factors of x, y and z by which OpenCV's axes (x right, y down, z forward) become OpenGL's (x right, y up, z
+/// backward), of a world as of a camera: half a turn about x. Its own inverse, and exact in floating point.
 pub const OPENGL_FROM_OPENCV: DVec3 = DVec3::new(1.0, -1.0, -1.0);
 
 /// The same as a matrix for column vectors, as nodes have it.
@@ -16,7 +16,8 @@ pub(crate) const HALF_TURN: DMat4 =
 /// The same as a matrix of directions.
 const HALF_TURN_OF_AXES: DMat3 = DMat3::from_diagonal(OPENGL_FROM_OPENCV);
 
-/// Sign of each coefficient of [`sh::basis`] where axes change theirs by these factors of ±1: whether it is even or odd in those that do.
+/// Sign of each coefficient of [`sh::basis`] where axes change theirs by these factors of ±1: whether it is even or odd
+/// in those that do.
 pub(crate) fn sh_signs(factors: DVec3) -> [f32; 16] {
     // At a direction where no function of the basis is 0.
     let d = DVec3::new(0.36, 0.48, 0.8);
@@ -34,7 +35,8 @@ pub(crate) fn node_of_camera(camera: &Camera) -> DMat3 {
     camera.rotation().transpose() * HALF_TURN_OF_AXES
 }
 
-/// Inverse of [`node_of_camera`]: world→camera rotation and translation of the camera of a node with this node→world rotation and place.
+/// Inverse of [`node_of_camera`]: world→camera rotation and translation of the camera of a node with this node→world
+/// rotation and place.
 pub(crate) fn camera_of_node(rotation: DQuat, place: DVec3) -> (DMat3, DVec3) {
     let to_camera = (DMat3::from_quat(rotation) * HALF_TURN_OF_AXES).transpose();
     (to_camera, -(to_camera * place))

@@ -52,8 +52,9 @@ pub fn logit(opacity: f64) -> f64 {
 
 /// Splats, meshes and the rule by which they are blended.
 ///
-/// By agreement it is in the frame of captures, of COLMAP and INRIA's `.ply`: x to the right, y down, z forward. A scene keeps the world of its
-/// capture, and nothing here depends on where up is in that, but [`read_scene`](crate::format::read_scene) turns files that are y up to y down, and
+/// By agreement it is in the frame of captures, of COLMAP and INRIA's `.ply`: x to the right, y down, z forward. A
+/// scene keeps the world of its capture, and nothing here depends on where up is in that, but
+/// [`read_scene`](crate::format::read_scene) turns files that are y up to y down, and
 /// [`write_scene`](crate::format::write_scene) turns what it writes as y up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HybridScene {

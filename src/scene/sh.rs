@@ -18,8 +18,8 @@ pub const fn coefficients(degree: u32) -> usize {
     terms.saturating_mul(terms)
 }
 
-/// Floats of the coefficients above the zeroth in three channels: 3·((d+1)²−1), with 0, 9, 24 and 45 for the degrees up to [`MAX_DEGREE`]. Where
-/// the number has no room, the largest there is.
+/// Floats of the coefficients above the zeroth in three channels: 3·((d+1)²−1), with 0, 9, 24 and 45 for the degrees up
+/// to [`MAX_DEGREE`]. Where the number has no room, the largest there is.
 #[must_use]
 pub const fn band_floats(degree: u32) -> usize {
     (coefficients(degree) - 1).saturating_mul(3)

@@ -21,8 +21,8 @@ const MAY_IMPORT: [(&str, &[&str]); 13] = [
     ("optimize", &["atomic", "scene", "capture", "edit", "evaluate", "geometry", "render", "stats"]),
 ];
 
-/// Directories below `src` in which no file imports one that imports it, be it by way of others. What a directory holds besides, and what
-/// the file above it has of its own, counts for all.
+/// Directories below `src` in which no file imports one that imports it, be it by way of others. What a directory holds
+/// besides, and what the file above it has of its own, counts for all.
 const ONE_WAY: [&str; 24] = [
     "capture",
     "cli",

@@ -1,5 +1,5 @@
-//! Faulty captures, meshes, adapters and checkpoints: one line that names the file and what was expected, exit code 1,
-//! and no files left behind.
+//! Faulty captures and checkpoints: one line that names the file and what was expected, exit code 1, and no files left
+//! behind.
 
 use std::path::Path;
 use std::process::Command;
@@ -18,16 +18,16 @@ use glam::{Quat, Vec3};
 const SHORT: [&str; 8] = ["train", "capture", "-o", "scene.glb", "--iterations", "12", "--no-eval", "--quiet"];
 
 /// Flags that have no effect with --no-mesh; the last one has none with --mesh either.
-const OF_A_MESH: [&str; 3] = ["--warmup", "4", "--surface-iterations=11"];
+pub(crate) const OF_A_MESH: [&str; 3] = ["--warmup", "4", "--surface-iterations=11"];
 
-fn folder_with_capture(views: usize) -> tempfile::TempDir {
+pub(crate) fn folder_with_capture(views: usize) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_capture(&folder.path().join("capture"), views, (48, 32));
     folder
 }
 
 /// Removes the scene of an earlier run, which would cause a note.
-fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
+pub(crate) fn train<'a>(folder: &Path, more: impl IntoIterator<Item = &'a str>) -> Command {
     let _ = std::fs::remove_file(folder.join("scene.glb"));
     let more: Vec<&str> = more.into_iter().collect();
     let mut command = centaur(folder);
@@ -48,7 +48,7 @@ fn refused(damage: impl FnOnce(&Path)) -> String {
     failure(folder.path(), &mut train(folder.path(), []))
 }
 
-fn edit(path: &Path, change: impl FnOnce(String) -> String) {
+pub(crate) fn edit(path: &Path, change: impl FnOnce(String) -> String) {
     std::fs::write(path, change(std::fs::read_to_string(path).unwrap())).unwrap();
 }
 
@@ -222,15 +222,6 @@ fn what_is_given_in_place_of_another_is_recognised() {
 }
 
 #[test]
-fn surfaces_of_no_splats() {
-    let folder = folder_with_capture(8);
-    let empty = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
-    write_scene(&folder.path().join("empty.ply"), &empty, &WriteOptions::default()).unwrap();
-    let line = failure(folder.path(), centaur(folder.path()).args(["mesh", "empty.ply", "capture", "-o", "s.glb"]));
-    assert_eq!(line, "error: empty.ply: expected trained splats, found none");
-}
-
-#[test]
 fn scenes_of_another_capture_are_scored_and_it_is_said() {
     let folder = folder_with_capture(9);
     let splats = Splats::new(vec![Vec3::ZERO], vec![Quat::IDENTITY], vec![Vec3::ZERO], vec![0.0], 0, vec![[0.5; 3]]);
@@ -309,62 +300,6 @@ fn photographs_that_a_capture_does_not_list_are_noted() {
     );
 }
 
-/// Variants of a benchmark share flags with hybrid variants.
-#[test]
-fn flags_of_a_mesh_beside_none_are_noted() {
-    let folder = folder_with_capture(8);
-    let more = ["--no-mesh", "--max-splats", "500", "--triangles", "9", "--shell", "off", "--band-degree", "2"];
-    let output = train(folder.path(), more).args(OF_A_MESH).output().unwrap();
-    let note = "note: --no-mesh: --surface-iterations, --triangles, --shell, --warmup have no effect\n";
-    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
-    // With a given mesh, flags for the extraction of a surface.
-    std::fs::write(folder.path().join("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
-    let more =
-        ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--planar", "off", "--lambda", "0"];
-    let output = train(folder.path(), more).output().unwrap();
-    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), "note: --mesh: --planar has no effect\n"));
-    // An order by depth alone does not use λ.
-    let more =
-        ["--mesh", "mesh.obj", "--texture-size", "64", "--max-splats", "500", "--mode", "direct", "--lambda", "0"];
-    let output = train(folder.path(), more).output().unwrap();
-    let note = "note: --mode direct: --lambda has no effect\n";
-    assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), note));
-}
-
-/// Usually such meshes are in another unit or frame than the poses.
-#[test]
-fn meshes_that_no_view_sees_are_refused() {
-    let folder = folder_with_capture(8);
-    std::fs::write(folder.path().join("mesh.obj"), "v 0 100 0\nv 1 100 0\nv 0 101 0\nf 1 2 3\n").unwrap();
-    let before = common::tree(folder.path());
-    let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
-    let ask = "is it in the frame and unit of the camera poses?";
-    let expected = format!(
-        "note: mesh.obj: is near hardly any of the points of the capture: {ask}\n\
-         error: mesh.obj: expected a mesh that training views see, found none of it in any view: {ask}\n"
-    );
-    assert_eq!((output.status.code(), stderr(&output)), (Some(1), expected));
-    assert_eq!(common::tree(folder.path()), before);
-}
-
-/// The cameras are inside the mesh.
-#[test]
-fn meshes_in_another_unit_than_the_poses_are_noted() {
-    let folder = folder_with_capture(8);
-    let mesh = |unit: f32| {
-        let corner = |[x, y, z]: [f32; 3]| format!("v {} {} {}\n", unit * x, unit * y, unit * z);
-        let corners = [[0.4, 0.0, -0.3], [-0.4, 0.3, -0.3], [-0.4, -0.3, -0.3], [0.0, 0.0, 0.4]].map(corner);
-        std::fs::write(folder.path().join("mesh.obj"), corners.concat() + "f 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
-            .unwrap();
-        let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{unit}: {}", stderr(&output));
-        stderr(&output)
-    };
-    assert_eq!([1.0, 0.5].map(mesh), ["", ""]);
-    let note = "note: mesh.obj: is near hardly any of the points of the capture: is it in the frame and unit of the camera poses?\n";
-    assert_eq!(mesh(100.0), note);
-}
-
 #[test]
 fn budgets_without_room_for_a_splat() {
     let folder = folder_with_capture(8);
@@ -440,161 +375,6 @@ fn captures_that_name_no_points_start_from_random_splats_and_say_so() {
         let output = centaur(folder.path()).args(args.split(' ')).output().unwrap();
         assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()), "{args}");
     }
-}
-
-#[test]
-fn meshes_without_triangles() {
-    let folder = folder_with_capture(8);
-    let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
-    for (name, content) in [
-        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n".to_owned()),
-        ("lines.obj", "v 0 0 0\nv 1 0 0\nl 1 2\n".to_owned()),
-        ("points.ply", format!("{header}end_header\n0 0 0\n")),
-        ("text.ply", "not a mesh".to_owned()),
-        ("empty.glb", String::new()),
-    ] {
-        std::fs::write(folder.path().join(name), content).unwrap();
-        let line = failure(folder.path(), &mut train(folder.path(), ["--mesh", name]));
-        assert!(line.starts_with(&format!("error: {name}: ")) && line.contains("expected"), "{line}");
-    }
-}
-
-#[test]
-fn surfaces_without_room_name_their_file() {
-    let folder = folder_with_capture(8);
-    let apart = |i: i32| format!("v {i} 0 0\nv {i}.5 0 0\nv {i} 1 0\nf -3 -2 -1\n");
-    std::fs::write(folder.path().join("apart.obj"), (0..200).map(apart).collect::<String>()).unwrap();
-    let line = failure(folder.path(), &mut train(folder.path(), ["--mesh", "apart.obj", "--texture-size", "16"]));
-    assert!(line.starts_with("error: apart.obj: making the mesh: unwrap: expected the 200 charts "), "{line}");
-    assert!(line.ends_with("; see --texture-size, and centaur mesh --mesh, which simplifies"), "{line}");
-
-    edit(&folder.path().join("capture/sparse/0/points3D.txt"), |_| "1 0 0 0 1 2 3 0.1\n".to_owned());
-    let line = failure(folder.path(), centaur(folder.path()).args(["mesh", "capture", "-o", "s.glb"]));
-    assert!(line.starts_with("error: capture: surface: expected triangles after lifting "), "{line}");
-}
-
-#[test]
-fn uvs_of_a_mesh_that_are_not_kept_are_noted() {
-    let folder = folder_with_capture(8);
-    let vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n";
-    for (material, notes) in
-        [("a", ""), ("b", "note: mesh.obj: its UVs are not kept, new ones are made: they belong to 2 materials\n")]
-    {
-        let faces = format!("usemtl a\nf 1/1 2/2 3/3\nusemtl {material}\nf 2/2 4/4 3/3\n");
-        std::fs::write(folder.path().join("mesh.obj"), [vertices, &faces].concat()).unwrap();
-        let output = train(folder.path(), ["--mesh", "mesh.obj", "--max-splats", "500"]).output().unwrap();
-        assert_eq!((output.status.code(), &*stderr(&output)), (Some(0), notes));
-    }
-}
-
-#[cfg(target_os = "linux")]
-#[test]
-fn folders_that_take_no_files() {
-    let folder = folder_with_capture(3);
-    let mut command = centaur(folder.path());
-    command.args(["train", "capture", "-o", "/proc/scene.glb", "--quiet"]);
-    let line = failure(folder.path(), &mut command);
-    assert!(line.starts_with("error: /proc/scene.glb: cannot write: folder /proc: "), "{line}");
-}
-
-/// As in a container with more cores than permitted threads. Here the threads' stacks do not fit into memory.
-#[cfg(target_os = "linux")]
-#[test]
-fn threads_that_cannot_be_started() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut command = Command::new("sh");
-    command.args(["-c", "ulimit -v 500000; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_centaur"), "inspect", "scene.glb"]);
-    let line = failure(folder.path(), command.current_dir(folder.path()).env("RAYON_NUM_THREADS", "1000"));
-    assert!(line.starts_with("error: cannot start a thread for every core; RAYON_NUM_THREADS=4, say, "), "{line}");
-}
-
-/// A document that names more files than may be open, with a triangle in each.
-#[cfg(unix)]
-#[test]
-fn more_files_than_may_be_open() {
-    use std::fmt::Write as _;
-    let folder = tempfile::tempdir().unwrap();
-    let triangle: Vec<u8> =
-        [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v: &f32| v.to_le_bytes()).collect();
-    let [mut buffers, mut views, mut accessors, mut primitives] = [(); 4].map(|()| String::new());
-    for i in 0..100 {
-        std::fs::write(folder.path().join(format!("{i}.bin")), &triangle).unwrap();
-        let comma = if i > 0 { "," } else { "" };
-        write!(buffers, r#"{comma}{{"uri":"{i}.bin","byteLength":36}}"#).unwrap();
-        write!(views, r#"{comma}{{"buffer":{i},"byteLength":36}}"#).unwrap();
-        let bounds = r#""min":[0,0,0],"max":[1,1,0]"#;
-        write!(accessors, r#"{comma}{{"bufferView":{i},"componentType":5126,"count":3,"type":"VEC3",{bounds}}}"#)
-            .unwrap();
-        write!(primitives, r#"{comma}{{"attributes":{{"POSITION":{i}}}}}"#).unwrap();
-    }
-    let document = format!(
-        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitives}]}}],
-            "buffers":[{buffers}],"bufferViews":[{views}],"accessors":[{accessors}]}}"#
-    );
-    std::fs::write(folder.path().join("scene.gltf"), document).unwrap();
-    let mut command = Command::new("sh");
-    command.args([
-        "-c",
-        "ulimit -n 50; exec \"$0\" \"$@\"",
-        env!("CARGO_BIN_EXE_centaur"),
-        "inspect",
-        "scene.gltf",
-        "--json",
-    ]);
-    let output = command.current_dir(folder.path()).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("\"triangles\":100"), "{output:?}");
-}
-
-#[test]
-fn adapters_that_do_not_exist() {
-    let folder = folder_with_capture(3);
-    for wanted in ["abacus", "#99", "ffff:ff:1f.7"] {
-        let expected = format!("error: no adapter matches {wanted:?}; available: #0 ");
-        let line = failure(folder.path(), &mut train(folder.path(), ["--adapter", wanted]));
-        assert!(line.starts_with(&expected), "{line}");
-        // Also from the environment, unless a flag says otherwise.
-        let line = failure(folder.path(), train(folder.path(), []).env("CENTAUR_ADAPTER", wanted));
-        assert!(line.starts_with(&expected), "{line}");
-        let line = failure(folder.path(), train(folder.path(), ["--adapter", "none"]).env("CENTAUR_ADAPTER", wanted));
-        assert!(line.starts_with(r#"error: no adapter matches "none""#), "{line}");
-    }
-}
-
-/// No driver for Vulkan's loader, as on a machine without one.
-#[cfg(target_os = "linux")]
-#[test]
-fn machines_without_an_adapter() {
-    let folder = folder_with_capture(3);
-    let without_drivers = |command: &mut Command| {
-        for name in ["VK_ICD_FILENAMES", "VK_DRIVER_FILES"] {
-            command.env(name, "/nonexistent.json");
-        }
-        command.env("VK_LOADER_DRIVERS_DISABLE", "*");
-    };
-    let mut command = train(folder.path(), []);
-    without_drivers(&mut command);
-    let line = failure(folder.path(), &mut command);
-    assert!(line.starts_with("error: no GPU adapter found: install "), "{line}");
-    // Once for several jobs.
-    std::fs::create_dir(folder.path().join("scenes")).unwrap();
-    for scene in ["one", "two"] {
-        std::os::unix::fs::symlink("../capture", folder.path().join("scenes").join(scene)).unwrap();
-    }
-    let mut command = centaur(folder.path());
-    command.args(["bench", "scenes", "-o", "out"]);
-    without_drivers(&mut command);
-    let line = failure(folder.path(), &mut command);
-    assert!(line.starts_with("error: no GPU adapter found: install "), "{line}");
-    let mut command = centaur(folder.path());
-    command.args(["bench", "scenes", "-o", "capture/images/000.png"]);
-    let line = failure(folder.path(), &mut command);
-    assert!(line.ends_with("capture/images/000.png is not a folder"), "{line}");
-    let mut command = centaur(folder.path());
-    command.args(["devices", "--json"]);
-    without_drivers(&mut command);
-    let output = command.output().unwrap();
-    assert_eq!((output.status.code(), output.stdout.trim_ascii()), (Some(0), &b"[]"[..]), "{}", stderr(&output));
 }
 
 #[test]

@@ -15,6 +15,11 @@ pub(crate) fn centaur(folder: &Path) -> Command {
     command
 }
 
+/// The small capture of the repository.
+pub(crate) fn demo() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("demo")
+}
+
 /// A file or folder of the shared data, whose root is in `CENTAUR_DATA`.
 pub(crate) fn data(path: &str) -> PathBuf {
     let root = std::env::var_os("CENTAUR_DATA")
@@ -66,12 +71,21 @@ pub(crate) fn wrong_usage(folder: &Path, command: &mut Command) -> String {
 fn refusal(folder: &Path, command: &mut Command, code: i32) -> String {
     let before = tree(folder);
     let output = command.output().unwrap();
-    let text = stderr(&output);
+    let text = if cfg!(windows) { as_on_unix(&stderr(&output)) } else { stderr(&output) };
     assert_eq!(output.status.code(), Some(code), "{command:?}: {text}");
     let is_one_line = text.starts_with("error: ") && text.lines().count() == 1;
     assert!(output.stdout.is_empty() && is_one_line, "{command:?}: {text}");
     assert_eq!(tree(folder), before, "{command:?} left something behind");
     text.trim_end().to_owned()
+}
+
+/// Messages of Windows, with the separators of Unix in paths and its words for files and folders that are not there.
+fn as_on_unix(text: &str) -> String {
+    let words = |code| std::io::Error::from_raw_os_error(code).to_string().replace(&format!(" (os error {code})"), "");
+    [2, 3]
+        .map(words)
+        .iter()
+        .fold(text.replace('\\', "/"), |text, words| text.replace(words, "No such file or directory"))
 }
 
 /// Writes a COLMAP text model of `count` cameras that look at a ball of coloured points from all around, with pictures.

@@ -203,6 +203,19 @@ fn outputs_of_others_do_not_give_their_neighbours_away() {
     refused(folder.path(), "convert g.ply i.xml");
 }
 
+/// As after a renaming on a system where case does not matter.
+#[test]
+fn an_export_names_its_files_in_any_case() {
+    let folder = tempfile::tempdir().unwrap();
+    write_splats(&folder.path().join("g.ply"), 5);
+    run(folder.path(), "convert g.ply s.xml");
+    let export = folder.path().join("s.xml");
+    let text = std::fs::read_to_string(&export).unwrap().replace("s_splats.ply", "S_splats.ply");
+    assert!(text.contains("S_splats.ply"), "{text}");
+    std::fs::write(&export, text).unwrap();
+    run(folder.path(), "convert g.ply s.xml --scale 2");
+}
+
 /// Blanks become `_` in names of files beside an export.
 #[test]
 fn exports_that_share_files_are_told_of() {

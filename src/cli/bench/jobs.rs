@@ -1,52 +1,19 @@
 //! Jobs of a benchmark.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::ffi::OsString;
-use std::fmt;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, bail};
 use centaur::capture;
-use clap::ValueEnum;
+use centaur::format::is_device;
 use serde::{Deserialize, Serialize};
 
 use super::Args;
-use crate::cli::{output, usage};
-
-/// Scenes of Mip-NeRF 360, with the divisors of their image sizes.
-pub(super) const MIPNERF360: [(&str, u32); 9] = [
-    ("bicycle", 4),
-    ("bonsai", 2),
-    ("counter", 2),
-    ("flowers", 4),
-    ("garden", 4),
-    ("kitchen", 2),
-    ("room", 2),
-    ("stump", 4),
-    ("treehill", 4),
-];
-
-/// Where the smaller pictures of Mip-NeRF 360 come from. Scores of different protocols do not compare: B is about 0.5 dB higher.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Protocol {
-    /// The smaller images that come with the data set, compressed twice (INRIA)
-    A,
-    /// The full-size images, scaled down on loading (Mip-Splatting, HERA)
-    B,
-}
-
-impl fmt::Display for Protocol {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if *self == Self::A { "a" } else { "b" })
-    }
-}
-
-/// Flags of `centaur train` that a protocol determines, and which would override it.
-const OF_PROTOCOL: [&str; 4] = ["--images", "--downscale", "--max-side", "--masks"];
-
-/// Flags of [`OF_PROTOCOL`] that set the size, each in its way.
-const OF_SIZE: [&str; 2] = ["--downscale", "--max-side"];
+use super::flags::{OF_JOBS, OF_SIZE, WEIGHTS, as_kept, chooses_pictures, is_one_of, left_of};
+use super::protocol::{MIPNERF360, Protocol, size_of};
+use super::scenes::{Scene, scenes};
+use crate::cli::usage;
 
 /// Note on scenes of Mip-NeRF 360 whose photographs nothing downscales: they have up to 17 megapixels, for which no
 /// table exists.
@@ -62,60 +29,6 @@ pub(super) fn of_full_size(jobs: &[&Job]) -> Option<String> {
         )
     })
 }
-
-/// Whether a word among flags of `centaur train` determines which photographs are used, at which size, or which part of
-/// them.
-pub(super) fn chooses_pictures(word: &str) -> bool {
-    is_one_of(word, &OF_PROTOCOL)
-}
-
-/// Whether a word is one of these flags, with or without its value attached.
-fn is_one_of(word: &str, flags: &[&str]) -> bool {
-    name_of(word).is_some_and(|name| flags.contains(&name))
-}
-
-/// Name of the flag in a word, with or without its value, which may follow a short flag without `=`; none if the word
-/// is a value, such as `-1.5`.
-fn name_of(word: &str) -> Option<&str> {
-    let is_long = word.starts_with("--");
-    let is_short = word.strip_prefix('-').is_some_and(|name| name.starts_with(char::is_alphabetic));
-    if is_long { word.split('=').next() } else { word.get(..2).filter(|_| is_short) }
-}
-
-/// Flags of a scene that remain beside those of the command and the variant: without flags that these give as well, and
-/// without its size if they set one, because sizes exclude each other.
-pub(super) fn left_of(of_scene: &[String], others: &[String]) -> Vec<String> {
-    let given: BTreeSet<&str> = others.iter().filter_map(|word| name_of(word)).collect();
-    let is_sized = OF_SIZE.iter().any(|flag| given.contains(flag));
-    let mut is_left = true;
-    let stays = |word: &&String| {
-        if let Some(name) = name_of(word) {
-            is_left = !(given.contains(name) || is_sized && OF_SIZE.contains(&name));
-        }
-        is_left
-    };
-    of_scene.iter().filter(stays).cloned().collect()
-}
-
-/// Flags as stored in results: for weights the file name only, because folders differ between machines.
-pub(super) fn as_kept(flags: &[String]) -> Vec<String> {
-    let name = |path: &str| Path::new(path).file_name().map_or(path.to_owned(), |name| name.to_string_lossy().into());
-    let mut kept: Vec<String> = vec![];
-    for word in flags {
-        let is_value = kept.last().is_some_and(|before| before == WEIGHTS);
-        kept.push(match word.split_once('=') {
-            _ if is_value => name(word),
-            Some((flag, path)) if flag == WEIGHTS => format!("{flag}={}", name(path)),
-            _ => word.clone(),
-        });
-    }
-    kept
-}
-
-const WEIGHTS: &str = "--lpips-weights";
-
-/// Flags of `centaur train` that every job sets itself.
-const OF_JOBS: [&str; 9] = ["-o", "--output", "--ply", "--report", "--seed", "--json", "--quiet", "-q", "--resume"];
 
 /// Training variant.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -139,7 +52,8 @@ pub(super) struct Made {
     /// Of `centaur train`, for all scenes of the variant, without those that every job has and those of the protocol.
     pub(super) flags: Vec<String>,
     pub(super) protocol: Option<Protocol>,
-    /// Jobs that shared the machine; 0 if that is unknown, or was not the same in all runs of this one. Only the times of 1 are times of a job.
+    /// Jobs that shared the machine; 0 if that is unknown, or was not the same in all runs of this one. Only the times
+    /// of 1 are times of a job.
     pub(super) at_a_time: usize,
 }
 
@@ -180,6 +94,9 @@ pub(super) fn variant(text: &str) -> Result<Variant, String> {
     if name.is_empty() || name.starts_with('-') || !name.chars().all(safe) {
         return Err(format!("expected a name of letters, digits, - and _, and after = flags, found `{text}`"));
     }
+    if is_device(name) {
+        return Err(format!("expected another name: on Windows, {name} is a device"));
+    }
     Ok(Variant { name: name.to_owned(), flags: flags.split_whitespace().map(str::to_owned).collect() })
 }
 
@@ -202,8 +119,10 @@ pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
     let usual = [Variant { name: "default".to_owned(), flags: vec![] }];
     let variants = if args.variants.is_empty() { &usual[..] } else { &args.variants };
     for (i, variant) in variants.iter().enumerate() {
-        let is_new = variants[..i].iter().all(|v| v.name != variant.name);
-        usage::demand(is_new, format!("--variant {}: given twice", variant.name))?;
+        // Folders whose names differ by case alone are one on many systems.
+        let Some(twin) = variants[..i].iter().find(|v| v.name.eq_ignore_ascii_case(&variant.name)) else { continue };
+        let said = if twin.name == variant.name { "given twice" } else { "given before in another case" };
+        return Err(usage::wrong(format!("--variant {}: {said}", variant.name)));
     }
     if let Some(protocol) = args.protocol {
         let mut given = args.flags.iter().chain(variants.iter().flat_map(|variant| &variant.flags));
@@ -368,84 +287,6 @@ fn first_line(error: &clap::Error) -> String {
     line.strip_prefix("error: ").unwrap_or(line).to_owned()
 }
 
-/// Capture of a data set.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Scene {
-    /// Folder of the capture, relative to the data set.
-    capture: PathBuf,
-    /// Flags of `centaur train` for the scene, which those of the command replace; its size also by an equivalent flag.
-    #[serde(default)]
-    flags: Vec<String>,
-}
-
-/// Content of `scenes.json`.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Listed {
-    scenes: BTreeMap<String, Scene>,
-}
-
-/// Scenes by name: those listed in the folder's `scenes.json`, else its subfolders that contain a capture.
-fn scenes(dataset: &Path) -> Result<BTreeMap<String, Scene>> {
-    let list = dataset.join("scenes.json");
-    if list.is_file() {
-        return listed(&list);
-    }
-    let mut found = BTreeMap::new();
-    let unread = || format!("{}: cannot read", dataset.display());
-    for entry in std::fs::read_dir(dataset).with_context(unread)? {
-        let path = entry.with_context(unread)?.path();
-        // A capture without cameras shall fail by name, not be missing from the table.
-        let is_one = capture::is_capture(&path) || path.join("sparse").is_dir();
-        let Some(name) = path.file_name().filter(|_| is_one) else { continue };
-        match name.to_str() {
-            // Hidden folders belong to other programs.
-            Some(name) if name.starts_with('.') => {}
-            // Jobs are listed one per line.
-            Some(name) if name.contains(char::is_control) => {
-                output::note(&format!("{name:?}: left out: its name holds a control character"));
-            }
-            Some(name) => {
-                found.insert(name.to_owned(), Scene { capture: name.into(), flags: vec![] });
-            }
-            None => output::note(&format!("{}: left out: its name is not UTF-8", path.display())),
-        }
-    }
-    ensure!(
-        !found.is_empty(),
-        "{}: expected a folder of captures, each with a COLMAP model or transforms.json, found none in it",
-        dataset.display()
-    );
-    Ok(found)
-}
-
-/// Reads `scenes.json`. Its names become file names, and its folders must lie within its own.
-fn listed(list: &Path) -> Result<BTreeMap<String, Scene>> {
-    let here = || list.display().to_string();
-    let text = std::fs::read(list).with_context(|| format!("{}: cannot read", here()))?;
-    // Windows editors write a byte order mark before the first brace.
-    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
-    let Listed { scenes } = serde_json::from_slice(text).with_context(here)?;
-    ensure!(!scenes.is_empty(), "{}: expected scenes, found none", here());
-    for (name, scene) in &scenes {
-        let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-        ensure!(
-            !name.is_empty() && name.chars().all(safe),
-            "{}: expected names of letters, digits, - and _, found `{name}`",
-            here()
-        );
-        let is_within = scene.capture.components().all(|part| matches!(part, Component::Normal(_)));
-        ensure!(
-            is_within && !scene.capture.as_os_str().is_empty(),
-            "{}: expected the folder of {name} within its own, found {}",
-            here(),
-            scene.capture.display()
-        );
-    }
-    Ok(scenes)
-}
-
 /// Folder of photographs that the flags name.
 pub(super) fn images_of(made: &Made) -> Option<String> {
     let size = made.protocol.map_or(vec![], |protocol| size_of(&made.scene, protocol));
@@ -454,15 +295,6 @@ pub(super) fn images_of(made: &Made) -> Option<String> {
     let joined = flags.iter().filter_map(|flag| flag.strip_prefix("--images="));
     // A flag given again replaces the former; both spellings are not mixed in practice.
     apart.chain(joined).last().map(str::to_owned)
-}
-
-/// Flags for the image size of a scene.
-fn size_of(scene: &str, protocol: Protocol) -> Vec<String> {
-    let Some((_, divisor)) = MIPNERF360.iter().find(|(name, _)| *name == scene) else { return vec![] };
-    match protocol {
-        Protocol::A => vec!["--images".to_owned(), format!("images_{divisor}")],
-        Protocol::B => vec!["--downscale".to_owned(), divisor.to_string()],
-    }
 }
 
 #[cfg(test)]
@@ -525,7 +357,7 @@ mod tests {
         let names: Vec<String> = all.iter().map(Job::name).collect();
         assert_eq!(names[..4], ["hybrid/garden-0", "hybrid/garden-7", "splats/garden-0", "splats/garden-7"]);
         assert_eq!(names.len(), 12);
-        let joined = |words: Vec<OsString>| words.join(OsStr::new(" ")).into_string().unwrap();
+        let joined = |words: Vec<OsString>| words.join(OsStr::new(" ")).into_string().unwrap().replace('\\', "/");
         let line = |i: usize| joined(all[i].command());
         // Flags of the job, followed by those that no other flag overrides.
         let expected = "garden --downscale 4 --antialias --max-splats 9 --no-mesh --max-splats 500 -o out/splats/garden-7.glb \
@@ -588,7 +420,7 @@ mod tests {
             .collect();
         record::check(&records, &all).unwrap();
         records[0].made.scene_flags.clear();
-        let found = record::check(&records, &all).unwrap_err().to_string();
+        let found = record::check(&records, &all).unwrap_err().to_string().replace('\\', "/");
         assert!(found.starts_with("out/default/Barn-0.json: expected a result of the flags of Barn in"), "{found}");
         let error = |text: &str| {
             write(text);
@@ -599,6 +431,8 @@ mod tests {
             assert!(found.contains("scenes.json: expected the folder of a within its own"), "{found}");
         }
         assert!(error(r#"{"scenes": {"a/b": {"capture": "tandt/truck"}}}"#).contains("found `a/b`"));
+        let twins = error(r#"{"scenes": {"a": {"capture": "tandt/truck"}, "A": {"capture": "more/Barn"}}}"#);
+        assert!(twins.ends_with("expected names that differ by more than case, found A and a"), "{twins}");
         assert!(error(r#"{"scenes": {}}"#).contains("expected scenes, found none"));
         assert!(error("{").contains("scenes.json"));
         let both = error(r#"{"scenes": {"room": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
@@ -627,17 +461,6 @@ mod tests {
     }
 
     #[test]
-    fn flags_that_the_command_gives_are_none_of_a_scene() {
-        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
-        let of_scene = "--iterations 2 --lambda=-1 --masks --warmup -1 --downscale 2";
-        let left = |others: &str| left_of(&words(of_scene), &words(others)).join(" ");
-        assert_eq!(left("--iterations=3"), "--lambda=-1 --masks --warmup -1 --downscale 2");
-        assert_eq!(left("--warmup 5 --masks"), "--iterations 2 --lambda=-1 --downscale 2");
-        assert_eq!(left("--max-side 64"), "--iterations 2 --lambda=-1 --masks --warmup -1");
-        assert_eq!(left("--layers 2"), of_scene);
-    }
-
-    #[test]
     fn what_cannot_be_done_is_said_before_anything_is() {
         let folder = dataset(&["garden"]);
         let error = |more: &[&str]| {
@@ -650,6 +473,7 @@ mod tests {
         assert!(error(&["--scenes", "house"]).ends_with("expected a scene `house`, found garden"));
         assert!(error(&["--only", "x/garden-0"]).starts_with("--only x/garden-0: expected one of the 1 jobs"));
         assert!(error(&["--variant", "a", "--variant", "a=--no-mesh"]).contains("given twice"));
+        assert_eq!(error(&["--variant", "a", "--variant", "A"]), "--variant A: given before in another case");
         assert_eq!(error(&["--seeds", "1,0,1"]), "--seeds: 1 given twice");
         let list = ["centaur", "bench", "data", "-o", "out", "--list", "--json"];
         assert!(Cli::try_parse_from(list).is_err(), "commands are no JSON");
@@ -669,6 +493,7 @@ mod tests {
         all(&args(folder.path(), &["--", "--max-side=300"])).unwrap();
         let empty = tempfile::tempdir().unwrap();
         assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected a folder of captures"));
+        assert_eq!(variant("Aux=--no-mesh").unwrap_err(), "expected another name: on Windows, Aux is a device");
         assert!(variant("=--no-mesh").is_err() && variant("a/b").is_err() && variant("a").unwrap().flags.is_empty());
         assert!(shard("4/4").is_err() && shard("x").is_err() && shard("3/4").is_ok());
         assert_eq!(size_of("room", Protocol::A), ["--images", "images_2"]);

@@ -3,9 +3,12 @@
 
 #[cfg(test)]
 mod flag_tests;
+mod flags;
 mod jobs;
+mod protocol;
 mod published;
 mod record;
+mod scenes;
 mod table;
 mod work;
 
@@ -16,7 +19,8 @@ use anyhow::{Result, bail, ensure};
 use centaur::format::atomic_write;
 use centaur::render::gpu::{GpuError, survey_adapters};
 
-use self::jobs::{Job, Protocol, Shard, Variant};
+use self::jobs::{Job, Shard, Variant};
+use self::protocol::Protocol;
 use self::record::Record;
 use self::work::Outcome;
 use super::shared::MessageArgs;
@@ -116,7 +120,8 @@ impl Args {
         self.beside_others || self.shard.is_some()
     }
 
-    /// Whether whoever runs this has to know what is left to another runner, as schedulers that make the table when all is done.
+    /// Whether whoever runs this has to know what is left to another runner, as schedulers that make the table when all
+    /// is done.
     fn wants_all(&self) -> bool {
         self.shard.is_some() || !self.only.is_empty() || self.wait > 0
     }
@@ -231,21 +236,25 @@ fn list(job: &Job, args: &Args) -> Result<()> {
         if !line.is_empty() {
             line.push(b' ');
         }
-        line.extend(quoted(&word));
+        line.extend(quoted(&word, cfg!(windows)));
     }
     line.push(b'\n');
     output::write(&line)
 }
 
-/// Quotes a word for a shell.
-fn quoted(word: &OsStr) -> Vec<u8> {
+/// Quotes a word for a POSIX shell, or for those of Windows, where paths have backslashes and single quotes are letters
+/// to `cmd`.
+fn quoted(word: &OsStr, is_windows: bool) -> Vec<u8> {
     let bytes = word.as_encoded_bytes();
-    let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@%".contains(c);
+    let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@%".contains(c) || is_windows && *c == b'\\';
     if !bytes.is_empty() && bytes.iter().all(plain) {
         return bytes.to_vec();
     }
-    let escaped = bytes.split(|c| *c == b'\'').collect::<Vec<_>>().join(&br"'\''"[..]);
-    [b"'", &escaped[..], b"'"].concat()
+    let (quote, inner) = if is_windows { (b'"', &br#"\""#[..]) } else { (b'\'', &br"'\''"[..]) };
+    let escaped = bytes.split(|c| *c == quote).collect::<Vec<_>>().join(inner);
+    // Before a double quote, programs on Windows read two backslashes as one.
+    let last = bytes.iter().rev().take_while(|c| is_windows && **c == b'\\').count();
+    [&[quote][..], &escaped[..], &b"\\".repeat(last)[..], &[quote][..]].concat()
 }
 
 #[cfg(test)]
@@ -257,12 +266,21 @@ mod tests {
         for (word, expected) in
             [("a/b-0", "a/b-0"), ("", "''"), ("a b", "'a b'"), ("it's", r"'it'\''s'"), ("$x", "'$x'")]
         {
-            assert_eq!(quoted(OsStr::new(word)), expected.as_bytes());
+            assert_eq!(quoted(OsStr::new(word), false), expected.as_bytes());
+        }
+        for (word, expected) in [
+            (r"C:\a\b-0", r"C:\a\b-0"),
+            ("", r#""""#),
+            (r"C:\a b\", r#""C:\a b\\""#),
+            ("it's", r#""it's""#),
+            (r#"a"b"#, r#""a\"b""#),
+        ] {
+            assert_eq!(quoted(OsStr::new(word), true), expected.as_bytes());
         }
         #[cfg(unix)]
         {
             use std::os::unix::ffi::OsStrExt as _;
-            assert_eq!(quoted(OsStr::from_bytes(b"caf\xe9")), b"'caf\xe9'");
+            assert_eq!(quoted(OsStr::from_bytes(b"caf\xe9"), false), b"'caf\xe9'");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeSet, ops::RangeInclusive};
 
-use super::jobs::{MIPNERF360, Protocol};
+use super::protocol::{MIPNERF360, Protocol};
 
 /// Means over a data set, taken by one protocol.
 pub(super) struct Known {

@@ -7,7 +7,9 @@ use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use serde::Deserialize as _;
 use serde_json::Value;
 
-use super::jobs::{self, Job, Made, Protocol};
+use super::flags::{as_kept, left_of};
+use super::jobs::{self, Job, Made};
+use super::protocol::Protocol;
 
 /// Finished job.
 #[derive(Clone, Debug)]
@@ -61,8 +63,8 @@ pub(super) fn read(file: PathBuf) -> Result<Option<Record>> {
     let made = result.get("job").ok_or_else(|| anyhow!("{}: expected `job` with flags, found none", name()))?;
     let made = Made::deserialize(made).with_context(name)?;
     // Older results have whole paths, and flags of scenes that others had replaced.
-    let flags = jobs::as_kept(&made.flags);
-    let made = Made { scene_flags: jobs::left_of(&jobs::as_kept(&made.scene_flags), &flags), flags, ..made };
+    let flags = as_kept(&made.flags);
+    let made = Made { scene_flags: left_of(&as_kept(&made.scene_flags), &flags), flags, ..made };
     Ok(Some(Record { file, made, result }))
 }
 

@@ -1,6 +1,7 @@
 //! Execution of jobs: each is a training in its own process, whose memory is released with it.
 
-use std::io::{self, Write as _};
+use std::fs::File;
+use std::io::{self, Seek as _, Write as _};
 #[cfg(unix)]
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
@@ -152,23 +153,23 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     }
     // The time per iteration covers all runs of the job.
     let line = |at_a_time: usize| format!("{AT_A_TIME}{at_a_time}\n");
-    let was_so = || std::fs::read_to_string(&path).is_ok_and(|lock| lock.starts_with(&line(at_a_time)));
+    let mut file = lock.file();
+    let was_so = |file: &File| io::read_to_string(file).is_ok_and(|lock| lock.starts_with(&line(at_a_time)));
     let is_begun = job.is_begun();
-    let at_a_time = if is_begun && !was_so() { 0 } else { at_a_time };
+    let at_a_time = if is_begun && !was_so(file) { 0 } else { at_a_time };
     let mut command = Command::new(this_program()?);
     // Name shown in lists of processes.
     #[cfg(unix)]
     command.arg0(std::env::args_os().next().unwrap_or_else(|| "centaur".into()));
     command.args(job.command()).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    file.set_len(0)
+        .and_then(|()| file.rewind())
+        .and_then(|()| file.write_all(line(at_a_time).as_bytes()))
+        .context("cannot hold a lock")?;
     if cfg!(unix) {
         // As its stderr, the training holds the lock, too, until it ends: after this process is killed, it still writes
         // a checkpoint. On Windows a lock belongs to one process, and keeps others from writing.
-        let mut file = lock.file();
-        file.set_len(0)
-            .and_then(|()| file.write_all(line(at_a_time).as_bytes()))
-            .and_then(|()| file.try_clone())
-            .map(|held| command.stderr(held))
-            .context("cannot hold a lock")?;
+        command.stderr(file.try_clone().context("cannot hold a lock")?);
     }
     let mut child = command.spawn().context("cannot start a training")?;
     // The training stops, with a checkpoint, when its stdin closes: at Ctrl-C, a termination, a hangup, and when this
@@ -206,7 +207,8 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     Ok(Ended::Done(record::notes(&result).map(str::to_owned).collect()))
 }
 
-/// What to do where a training does not go on from its checkpoint, such as after a change of the flags: as a job it always tries to.
+/// What to do where a training does not go on from its checkpoint, such as after a change of the flags: as a job it
+/// always tries to.
 fn advice(reason: &str, checkpoint: &Path) -> &'static str {
     let is_refused = reason.strip_prefix(&*checkpoint.to_string_lossy()).is_some_and(|why| why.contains(": expected "));
     if is_refused { ": delete that file to do the job anew, or give the variant another name" } else { "" }

@@ -80,7 +80,8 @@ fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) ->
     Ok(())
 }
 
-/// Whether the output exists and, by its text, has one of these companions.
+/// Whether the output exists and, by its text, has one of these companions, whose names may differ by case: the output
+/// may have been renamed where that does not matter.
 fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
     let own = companions.iter().filter(|file| !file.is_plugin());
     let own: Vec<&[u8]> = own.filter_map(|file| Some(file.place.file_name()?.as_encoded_bytes())).collect();
@@ -94,7 +95,7 @@ fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
         if (&mut file).take(1 << 20).read_to_end(&mut text)? == 0 {
             return Ok(false);
         }
-        if own.iter().any(|name| text.windows(name.len()).any(|part| part == *name)) {
+        if own.iter().any(|name| text.windows(name.len()).any(|part| part.eq_ignore_ascii_case(name))) {
             return Ok(true);
         }
     }

@@ -1,10 +1,11 @@
 # ---------------------------------------------------------------------------------------------------------------------
-# The scene in Blender. Everything hangs below one empty, which turns the frame of the scene (y down, as captures have it)
-# to Blender's (z up); objects below it are not moved, so that their own frame is the scene's.
+# The scene in Blender. Everything hangs below one empty, which turns the frame of the scene (y down, as captures have
+# it) to Blender's (z up); objects below it are not moved, so that their own frame is the scene's.
 
 TURN = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
 MILLION = 1_000_000
-# Measured with Blender 4.5.15 on 2 cores at 100 000 splats of degree 3: seconds to build a splat, bytes of it in a .blend.
+# Measured with Blender 4.5.15 on 2 cores at 100 000 splats of degree 3: seconds to build a splat, bytes of it in a
+# .blend.
 COSTS = {"ewa": (3.5e-5, 465), "cap": (9e-5, 2300), "shell": (6e-5, 2000)}
 
 

@@ -1,6 +1,7 @@
 # ---------------------------------------------------------------------------------------------------------------------
-# What moves. Keys stand at every frame, so that what is between keys of the file is as it has it: objects and bones with location,
-# rotation and scale, shape keys with values. Frame 1 is the first key of the animation. Splats follow in `followed`.
+# What moves. Keys stand at every frame, so that what is between keys of the file is as it has it: objects and bones
+# with location, rotation and scale, shape keys with values. Frame 1 is the first key of the animation. Splats follow in
+# `followed`.
 
 LINEAR = 1  # of the interpolations of a key
 

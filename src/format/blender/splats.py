@@ -286,8 +286,9 @@ def cap(splats, view, decode, sh_direction, budget):
         rest = ~around
         splats, toward, distance, limit, twins, apart = (a[rest] for a in (splats, toward, distance, limit, twins, apart))
         budget -= len(parts[0].faces)
-    # Angles a as asinh(tan a): alike where they are small; where the camera is within a splat, depths, which go with cos a,
-    # fall evenly in their logarithms. Facets of side h lie up to h²/8 beside the surface, relative to the distance.
+    # Angles a as asinh(tan a): alike where they are small; where the camera is within a splat, depths, which go with
+    # cos a, fall evenly in their logarithms. Facets of side h lie up to h²/8 beside the surface, relative to the
+    # distance.
     sine = np.minimum(limit / distance, 1 - 1e-9)
     angle = np.arcsinh(sine / np.sqrt(1 - sine**2))
     for error in 10.0 ** np.arange(-6, 0, 0.1):

@@ -50,11 +50,11 @@ fn place(folder: &Path, files: [&str; 3]) -> io::Result<()> {
     let _undisturbed = atomic::undisturbed();
     let replaces = model.exists();
     if replaces {
-        fs::rename(&model, &former)?;
+        atomic::rename(&model, &former)?;
     }
-    let placed = fs::rename(&new, &model);
+    let placed = atomic::rename(&new, &model);
     if placed.is_err() && replaces {
-        fs::rename(&former, &model)?;
+        atomic::rename(&former, &model)?;
     }
     placed
 }

@@ -33,8 +33,8 @@ pub struct CameraFile {
     pub y_up: bool,
     /// Time of each camera, in seconds of the file's clock; empty if the cameras are not frames of a shot.
     pub times: Vec<f64>,
-    /// Depth of the near plane with which they are written; `None`: that of the scene with which they are, or the usual one.
-    /// Readers leave it out.
+    /// Depth of the near plane with which they are written; `None`: that of the scene with which they are, or the usual
+    /// one. Readers leave it out.
     pub near: Option<f32>,
     /// Notes on content that could not be represented exactly, one sentence each.
     pub notes: Vec<String>,
@@ -46,7 +46,8 @@ pub struct Sampling<'a> {
     /// Frames per second at which animated cameras are sampled; `None`: the rate that the file states, else
     /// [`DEFAULT_FPS`].
     pub fps: Option<f64>,
-    /// Only the cameras of these names, or numbers from 0 where no name is meant; empty: all that move, or all where none does.
+    /// Only the cameras of these names, or numbers from 0 where no name is meant; empty: all that move, or all where
+    /// none does.
     pub only: &'a [String],
     /// All as they are at this time, in seconds, none of them moving; `None`: frame by frame.
     pub time: Option<f64>,
@@ -269,7 +270,8 @@ fn safe_stem(view: &str) -> String {
 }
 
 /// Whether Windows treats a file of this name as a device, regardless of its extension.
-fn is_device(name: &str) -> bool {
+#[must_use]
+pub fn is_device(name: &str) -> bool {
     let name = name.split('.').next().unwrap_or_default().to_ascii_lowercase();
     let port = name.strip_prefix("com").or(name.strip_prefix("lpt"));
     matches!(&name[..], "con" | "prn" | "aux" | "nul") || port.is_some_and(|n| matches!(n.as_bytes(), [b'0'..=b'9']))

@@ -74,11 +74,13 @@ pub fn sharing(output: &Path) -> io::Result<Vec<Sharing>> {
     let Some((kind, prefix, own)) = named(output) else { return Ok(vec![]) };
     let mut found = vec![];
     for entry in folder_of(output).read_dir()? {
-        let path = output.with_file_name(entry?.file_name());
-        if let Some(other) = named(&path).filter(|other| (other.0, &other.1) == (kind, &prefix))
-            && path.file_name() != output.file_name()
+        let name = entry?.file_name();
+        let path = output.with_file_name(&name);
+        // Names that differ by case alone are one on many systems.
+        if let Some(other) = named(&path).filter(|other| other.0 == kind && other.1.eq_ignore_ascii_case(&prefix))
+            && !name.eq_ignore_ascii_case(output.file_name().unwrap_or_default())
         {
-            found.push(Sharing { path, is_of_one_name: other.2 == own });
+            found.push(Sharing { path, is_of_one_name: other.2.eq_ignore_ascii_case(&own) });
         }
     }
     found.sort_by(|a, b| a.path.cmp(&b.path));

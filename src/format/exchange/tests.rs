@@ -12,6 +12,21 @@ fn names_come_of_the_stem() {
     assert_eq!(of("x", ".xml"), "x");
 }
 
+/// As on systems where case does not matter.
+#[test]
+fn exports_share_files_in_any_case() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::write(at("A b.blend.py"), "").unwrap();
+    let of = |name: &str| {
+        let found = sharing(&at(name)).unwrap();
+        found.into_iter().map(|other| (other.path, other.is_of_one_name)).collect::<Vec<_>>()
+    };
+    assert_eq!(of("a B.xml"), [(at("A b.blend.py"), true)]);
+    assert_eq!(of("a_b.xml"), [(at("A b.blend.py"), false)]);
+    assert!(of("a b.BLEND.py").is_empty() && of("c.xml").is_empty());
+}
+
 #[test]
 fn every_part_is_written_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();

@@ -25,7 +25,11 @@
 //! cannot be represented: another kernel, a node that leaves them no extent along an axis, values that are not finite.
 
 mod accessor;
+#[cfg(test)]
+mod accessor_tests;
 pub(super) mod binding;
+#[cfg(test)]
+mod binding_tests;
 mod buffer;
 mod camera;
 mod container;
@@ -98,8 +102,8 @@ use crate::scene::frame::HALF_TURN;
 use crate::scene::{Camera, Composition, HybridScene, Splats};
 
 /// Writes glTF; returns the file's size in bytes. A name that ends in `.gltf` gives JSON with everything embedded, any
-/// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings). The scene is in the frame of captures, y down; below a root
-/// node of ours it is turned half about x.
+/// other a binary glTF. `extras` goes to `asset.extras.centaur` (metrics, settings). The scene is in the frame of
+/// captures, y down; below a root node of ours it is turned half about x.
 ///
 /// Scales and opacities are stored linearly in f32, as `KHR_gaussian_splatting` requires: log-scales are recovered to
 /// 1e-6, opacities to 1e-7 (logits stay finite). All other optimised values are recovered bit for bit.
@@ -118,7 +122,8 @@ pub fn write_glb(
 }
 
 /// As [`write_glb`], on the ground of the document that the scene was read from: all of it is written where it stands
-/// ([`Source::stands`]), else what of it concerns the file as a whole, with this record in place of its own. Also returns which of both.
+/// ([`Source::stands`]), else what of it concerns the file as a whole, with this record in place of its own. Also
+/// returns which of both.
 ///
 /// # Errors
 /// Those of [`write_glb`].
@@ -137,8 +142,8 @@ pub(super) fn write_over(
     Ok((container::write(path, document, &bin)?, false))
 }
 
-/// Reads a `.glb` or `.gltf` file. The scene is in the frame of captures, y down, see [`super::SceneFile::y_up`]; options keep
-/// the document for [`super::write_scene`], leaving its buffers in the file, and pose the scene.
+/// Reads a `.glb` or `.gltf` file. The scene is in the frame of captures, y down, see [`super::SceneFile::y_up`];
+/// options keep the document for [`super::write_scene`], leaving its buffers in the file, and pose the scene.
 ///
 /// # Errors
 /// If the file cannot be read, or is refused for what it holds.

@@ -152,7 +152,8 @@ fn bytes_of(part: &SplatArrays) -> u64 {
     BYTES_OF_PART + part.means.len() as u64 * (44 + 12 * sh::coefficients(sh::MAX_DEGREE) as u64)
 }
 
-/// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras otherwise.
+/// The nearest `znear` of all cameras, each of which has its own by the extension; that of a scene without cameras
+/// otherwise.
 fn least_near(document: &gltf::Document) -> f32 {
     // Read from JSON, because the crate panics if the object named by `type` is missing.
     let perspectives = document.as_json().cameras.iter().filter_map(|camera| camera.perspective.as_ref());

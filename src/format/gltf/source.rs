@@ -133,8 +133,8 @@ impl Source {
         self.moving.range()
     }
 
-    /// What there is to be said where it is played from one time to another, in seconds, a sentence each: which of animations that move the same
-    /// is taken, and how long there are any.
+    /// What there is to be said where it is played from one time to another, in seconds, a sentence each: which of
+    /// animations that move the same is taken, and how long there are any.
     #[must_use]
     pub fn played(&self, span: [f64; 2]) -> Vec<String> {
         self.moving.overruled().into_iter().chain(self.moving.outside(span)).collect()
@@ -146,8 +146,8 @@ impl Source {
         self.moving.fps()
     }
 
-    /// The cameras, as [`crate::format::read_cameras`] reads them from `path`, of which this is the document: in its frame, which
-    /// [`CameraFile::y_up`] tells and [`CameraFile::in_frame`] changes.
+    /// The cameras, as [`crate::format::read_cameras`] reads them from `path`, of which this is the document: in its
+    /// frame, which [`CameraFile::y_up`] tells and [`CameraFile::in_frame`] changes.
     ///
     /// # Errors
     /// Those of [`crate::format::read_cameras`].
@@ -336,8 +336,9 @@ impl Source {
         }
     }
 
-    /// What concerns the file as a whole goes on even where the scene is written anew: copyright and extras of the asset,
-    /// extras of the document, name and extras of the scene. A `record` takes the place of its own, which is of the scene as it was.
+    /// What concerns the file as a whole goes on even where the scene is written anew: copyright and extras of the
+    /// asset, extras of the document, name and extras of the scene. A `record` takes the place of its own, which is of
+    /// the scene as it was.
     pub(super) fn carry_over(&self, document: &mut Value, record: Option<&Value>) {
         let of = |path: &str| self.root.pointer(path).cloned();
         let scene = format!("/scenes/{}", self.scene());

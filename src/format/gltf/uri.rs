@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::buffer::Buffer;
 use crate::base64;
+use crate::format::error::shown;
 use crate::format::inside::inside;
 
 /// Content of a data URI, or of a file in `folder` or below it. On failure: expectation and finding.
@@ -48,6 +49,10 @@ pub(super) fn open_once(
             .ok_or_else(|| ("base64 after `;base64,`".to_owned(), "a data URI without it".to_owned()));
     }
     let name = percent_decode(uri).ok_or_else(|| ("a percent-encoded path".to_owned(), format!("`{uri}`")))?;
+    // Between folders, a URI has `/` alone.
+    if name.contains('\\') {
+        return Err(("a path inside the folder of the file".to_owned(), shown(name.as_bytes())));
+    }
     let file = inside(folder, &name)?;
     if let Some(known) = known.get(&file) {
         return Ok(known.clone());
@@ -111,6 +116,9 @@ mod tests {
         for uri in ["../secret.bin", "%2e%2e/secret.bin", "/etc/passwd", "file:///etc/passwd", "..\\secret.bin", "%zz"]
         {
             assert!(resolve(uri, &inner).is_err(), "{uri}");
+        }
+        for uri in [".\\a b.bin", ".%5Ca b.bin"] {
+            assert_eq!(resolve(uri, &inner).unwrap_err().0, "a path inside the folder of the file", "{uri}");
         }
         #[cfg(unix)]
         {

@@ -97,8 +97,8 @@ if mi.variant() is None:
 
 # Largest opacity of a splat and of a surface, and the least that a splat contributes with.
 MAX_SPLAT_ALPHA, MAX_SURFACE_ALPHA, MIN_SPLAT_ALPHA = 0.99, 1 - 1e-4, 1 / 255
-# How far behind an entered shell or a met surface the search goes on, relative to the distance: the least step that a float of
-# 32 bits can make. Shells that begin within it of each other are lost, which is why splats have two.
+# How far behind an entered shell or a met surface the search goes on, relative to the distance: the least step that a
+# float of 32 bits can make. Shells that begin within it of each other are lost, which is why splats have two.
 STEP = 1.3e-7
 # A surface that a ray meets within this distance of itself, relative to it, is two triangles at their common edge.
 EDGE = 1e-5
@@ -252,7 +252,8 @@ class HybridRF(mi.SamplingIntegrator):
         self.linear = props.get('output', 'linear') == 'linear'
         self.slots = props.get('slots', 64)
         self.aovs = props.get('aovs', True)
-        # Of the camera: how far behind it rays begin, where it looks, and how rays change per pixel, to the right and down.
+        # Of the camera: how far behind it rays begin, where it looks, and how rays change per pixel, to the right and
+        # down.
         self.back, self.forward, self.pixel = 0.0, None, None
         # Of a splat, the next of those in its place, in a ring; None where each is alone.
         self.twins = None
@@ -445,8 +446,8 @@ class HybridRF(mi.SamplingIntegrator):
             is_new |= is_splat & (alpha > 0)
             key, name = dr.select(is_splat, peak, here), dr.select(is_splat, si.prim_index, SURFACE)
 
-            # Blend what is in front of `here`, and where all slots are taken the nearest. No array is written in the block
-            # that reads it: Dr.Jit may order the two either way.
+            # Blend what is in front of `here`, and where all slots are taken the nearest. No array is written in the
+            # block that reads it: Dr.Jit may order the two either way.
             is_full = mi.Bool(is_new & (waiting == slots))
             go = mi.Bool((nearest < here) | is_full)
             while go:
@@ -477,8 +478,8 @@ class HybridRF(mi.SamplingIntegrator):
                 if waiting == 0:
                     nearest, top = mi.Float(dr.inf), mi.UInt32(0)
 
-            # A splat that is not behind what was blended last has been entered before, by its other shell or as a twin; so has
-            # one that is waiting.
+            # A splat that is not behind what was blended last has been entered before, by its other shell or as a twin;
+            # so has one that is waiting.
             is_new &= is_surface | (key > blended) | ((key == blended) & (name > blended_name))
             # The first slot that is free.
             slot, i = mi.UInt32(slots), mi.UInt32(0)

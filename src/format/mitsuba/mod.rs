@@ -173,7 +173,8 @@ fn stock(scene: &HybridScene, beside: &Beside, cameras: &[(String, Camera)]) -> 
         let sensor = Element::plugin("sensor", "perspective")
             .with("string", "fov_axis", "x")
             .with("float", "fov", k.fov_x().to_degrees())
-            // Mitsuba's is the offset of the film's centre from the principal point: a positive one moves the axis to the left and up.
+            // Mitsuba's is the offset of the film's centre from the principal point: a positive one moves the axis to
+            // the left and up.
             .with("float", "principal_point_offset_x", 0.5 - k.cx / width)
             .with("float", "principal_point_offset_y", 0.5 - k.cy / height)
             .with("float", "near_clip", scene.composition.near)

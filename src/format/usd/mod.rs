@@ -12,13 +12,13 @@
 //!
 //! Files are y up: a capture's world is rotated by half a turn about x, including SH and maps.
 //!
-//! Splats, meshes and cameras of other programs are converted to metres. One layer is read; what would have to be composed
-//! of several is named in the notes. Files are refused that are malformed or hold splats that cannot be represented: a
-//! transform that flattens them, non-finite values.
+//! Splats, meshes and cameras of other programs are converted to metres. One layer is read; what would have to be
+//! composed of several is named in the notes. Files are refused that are malformed or hold splats that cannot be
+//! represented: a transform that flattens them, non-finite values.
 //!
-//! A `.usda` is written with its pictures beside it, under names that begin with its own. Scales and opacities are stored
-//! linearly in f32, as the schema requires: log-scales are recovered to 1e-6, opacities to 1e-7, all other optimised
-//! values bit for bit.
+//! A `.usda` is written with its pictures beside it, under names that begin with its own. Scales and opacities are
+//! stored linearly in f32, as the schema requires: log-scales are recovered to 1e-6, opacities to 1e-7, all other
+//! optimised values bit for bit.
 //!
 //! ```text
 //! file ──→ package ──→ lex, parse ──→ document ──→ stage, xform, to_scene (splats, surfaces, materials, views) ──→ scene
@@ -131,8 +131,9 @@ fn document(layer: Vec<u8>) -> Result<Layer, Fault> {
 }
 
 /// Writes a `.usdz`, if that is the path's extension, else a `.usda` and its pictures beside it, under names that begin
-/// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the names of
-/// the pictures. `record` is kept, see [`super::SceneFile::record`]. The scene is in the frame of captures, y down, and turned half about x.
+/// with its own. Every file is written whole or not at all, the layer last. Returns the size of all in bytes, and the
+/// names of the pictures. `record` is kept, see [`super::SceneFile::record`]. The scene is in the frame of captures, y
+/// down, and turned half about x.
 ///
 /// # Errors
 /// If a file cannot be written, a `.usdz` would hold a file of more than 4 GiB, or the composition is not valid.

@@ -42,7 +42,7 @@ impl Place {
             Self::Package { archive, folder } => {
                 let outside = || ("a file of the package".to_owned(), format!("`{path}`"));
                 let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
-                for part in path.split('/').filter(|part| !part.is_empty() && *part != ".") {
+                for part in path.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".") {
                     if part == ".." {
                         parts.pop().ok_or_else(outside)?;
                     } else {
@@ -61,9 +61,9 @@ pub(super) fn bytes_of_files<'a>(paths: impl Iterator<Item = &'a str>, folder: &
     gltf::bytes_of_files(uris.iter().map(String::as_str), folder)
 }
 
-/// Escapes percent signs, which are ordinary characters in asset paths.
+/// Escapes percent signs, which are ordinary characters in asset paths, and sets `/` for the `\` of programs on Windows.
 fn as_uri(path: &str) -> String {
-    path.replace('%', "%25")
+    path.replace('%', "%25").replace('\\', "/")
 }
 
 fn member(archive: &mut Archive, name: &str) -> Result<Vec<u8>, Mismatch> {

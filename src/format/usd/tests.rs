@@ -470,9 +470,14 @@ fn paths_do_not_lead_out_of_folder_or_package() {
     std::fs::create_dir(&inner).unwrap();
     let scene = random_scene(0, 1, 0, 2);
     write(&inner.join("a.usda"), &scene, &[], None).unwrap();
-    std::fs::rename(inner.join("a_mesh_0_base.exr"), folder.path().join("a_mesh_0_base.exr")).unwrap();
     let text = std::fs::read_to_string(inner.join("a.usda")).unwrap();
-    for path in ["../a_mesh_0_base.exr", "/etc/passwd", "%2e%2e/a_mesh_0_base.exr"] {
+    // As written on Windows.
+    std::fs::write(inner.join("b.usda"), text.replace("./a_mesh", r".\a_mesh")).unwrap();
+    assert_eq!(read(&inner.join("b.usda")).unwrap().scene, read(&inner.join("a.usda")).unwrap().scene);
+    std::fs::rename(inner.join("a_mesh_0_base.exr"), folder.path().join("a_mesh_0_base.exr")).unwrap();
+    for path in
+        ["../a_mesh_0_base.exr", "/etc/passwd", "%2e%2e/a_mesh_0_base.exr", r"..\a_mesh_0_base.exr", r"\a", r"C:\a"]
+    {
         std::fs::write(inner.join("a.usda"), text.replace("./a_mesh_0_base.exr", path)).unwrap();
         assert!(
             read(&inner.join("a.usda")).unwrap().notes[0].contains(".centaur:baseMap: the maps cannot be read"),

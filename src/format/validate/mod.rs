@@ -59,8 +59,8 @@ pub struct Validation {
 
 /// Checks a file against the rules of its format.
 ///
-/// * `.glb`, `.gltf`: container, schema, references, ranges of accessors and their values, declared extensions, the rules
-///   of `KHR_gaussian_splatting` and of `EXT_gaussian_splatting_hybrid`.
+/// * `.glb`, `.gltf`: container, schema, references, ranges of accessors and their values, declared extensions, the
+///   rules of `KHR_gaussian_splatting` and of `EXT_gaussian_splatting_hybrid`.
 /// * `.ply` of splats: header, rows against the length of the file, values.
 /// * `.spz`: container, streams against the number of splats, values at the ends of their ranges.
 /// * `.usda`, `.usdc`, `.usdz`: what the reader refuses, lengths of arrays against their interpolation, extents,

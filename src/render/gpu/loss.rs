@@ -1,4 +1,5 @@
-//! Photometric loss of a rendered image and its gradient (`shaders/loss.wgsl`, `shaders/loss_serial.wgsl` on software adapters).
+//! Photometric loss of a rendered image and its gradient (`shaders/loss.wgsl`, `shaders/loss_serial.wgsl` on software
+//! adapters).
 
 use super::device::{Buffer, Frame, Gpu, GpuError, Stage, groups};
 

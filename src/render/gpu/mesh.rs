@@ -2,8 +2,8 @@
 //! gradient of these to the texels.
 //!
 //! Forward: `setup_triangles` → `bin_triangles` (count, scan, scatter) → `raster_layers` → `shade_layers`.
-//! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters); then `adam_texels` → `build_mips`. Without
-//! meshes nothing is dispatched.
+//! Backward: zero → `gradient_peak` → `texel_backward` (`texel_backward_serial` on software adapters); then
+//! `adam_texels` → `build_mips`. Without meshes nothing is dispatched.
 
 use super::device::{Buffer, Frame, Gpu, GpuError, Kernel, Stage, groups};
 use super::shader::Defines;

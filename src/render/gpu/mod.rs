@@ -57,6 +57,8 @@ mod tests;
 #[cfg(test)]
 mod texel_tests;
 #[cfg(test)]
+mod training_list_tests;
+#[cfg(test)]
 mod training_tests;
 #[cfg(test)]
 mod vertex_tests;

@@ -2,12 +2,13 @@
 //!
 //! Directives are comment lines, so that a file stays close to plain WGSL:
 //! * `//#import shared/x.wgsl [with NAME=value …]` inserts a file; `$NAME` in it becomes `value`.
-//! * `//#if NAME`, `//#if !NAME` or `//#if A<B`, `//#else`, `//#end`: keep lines if that holds (a define holds if not 0).
+//! * `//#if NAME`, `//#if !NAME` or `//#if A<B`, `//#else`, `//#end`: keep lines if that holds (a define holds if not
+//!   0).
 //! * `//#for i in A..B` … `//#end`: repeats lines with `$i` replaced by A, …, B−1; if A > B, by A−1, …, B.
 //!   A and B are numbers or defines.
 //!
-//! Every define is also emitted as `const NAME`, of u32 or f32; so are the constants of [`view`], the numbers of [`contract`] and
-//! those of sums in fixed point.
+//! Every define is also emitted as `const NAME`, of u32 or f32; so are the constants of [`view`], the numbers of
+//! [`contract`] and those of sums in fixed point.
 
 use std::collections::BTreeMap;
 
@@ -106,8 +107,8 @@ const CONTRACT: [(&str, f64); 6] = [
 pub(crate) const FIXED_ONE: f32 = 1_048_576.0;
 /// What a unit of the higher bands is, in those of the base map.
 pub(crate) const BAND_UNIT: f32 = 8.0;
-/// Pixels of a texel of the base map up to which its sum has room several times over: each layer and each chart that lies on the same texel
-/// adds its own. A fragment is crowded if its texel has more.
+/// Pixels of a texel of the base map up to which its sum has room several times over: each layer and each chart that
+/// lies on the same texel adds its own. A fragment is crowded if its texel has more.
 pub(crate) const CROWD: f32 = 1024.0;
 /// The same of a texel of the higher bands.
 const BAND_CROWD: f32 = 2048.0;

@@ -1,5 +1,8 @@
 //! A scene on the GPU during training: parameters, gradients, Adam, and one step of it.
 
+mod pictures;
+mod splats;
+
 use super::{
     adam::{AdamBuffers, AdamStep, SplatAdam, SplatFloats},
     backward::Backward,
@@ -11,37 +14,17 @@ use super::{
     memory::with_headroom,
     mesh::MeshStage,
     photographs::UploadedPhotographs,
-    picture::Picture,
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
-    rows::{RowGather, Rows, Source},
+    rows::RowGather,
     smoothing::Smoothing,
     splats::{SplatBuffers, longest_list},
-    state::SplatState,
     status::{ListCheck, Status, status_buffer},
     texels::TexelStep,
     vertices::{VertexState, VertexStep},
     view::{Dropout, View},
 };
 use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
-
-#[cfg(test)]
-impl SplatState {
-    /// [`Training::rearrange`] on the host.
-    pub(crate) fn rearranged(&self, geometry: &[f32], sources: &[Source]) -> Self {
-        let of_geometry = |before: &[f32]| Source::gather(sources, before, GEOMETRY_FLOATS, Rows::GeometryMoments);
-        let of_sh = |before: &[f32], what| Source::gather(sources, before, self.sh_floats(), what);
-        Self {
-            sh_degree: self.sh_degree,
-            geometry: geometry.to_vec(),
-            sh: of_sh(&self.sh, Rows::Parameters),
-            geometry_m: of_geometry(&self.geometry_m),
-            geometry_v: of_geometry(&self.geometry_v),
-            sh_m: of_sh(&self.sh_m, Rows::ShMoments),
-            sh_v: of_sh(&self.sh_v, Rows::ShMoments),
-        }
-    }
-}
 
 /// Inputs and options of one training step.
 pub(crate) struct Step<'a> {
@@ -322,65 +305,6 @@ impl<'g> Training<'g> {
         vertices.map_or(Ok(VertexState::default()), |v| v.read_state(self.gpu))
     }
 
-    /// Renders a view of the present state. Waits.
-    pub(crate) fn render(&mut self, camera: &Camera, background: [f32; 3], show: Show) -> Result<Picture, GpuError> {
-        self.pipeline.front.composition.background = background;
-        loop {
-            let view = show.of(self.prepare(camera)?);
-            let mut frame = Frame::new(self.gpu);
-            self.pipeline.record(self.gpu, &mut frame, &view);
-            frame.submit();
-            if !self.grow_after_frame()? {
-                return self.pipeline.read_picture(self.gpu, camera);
-            }
-        }
-    }
-
-    /// Sums a picture over the footprint of every splat: Σ w·`values` (3) and Σ w, where w is the splat's blend weight
-    /// at a pixel. `values` is `[h·w]`; the result `[N]`. Waits.
-    pub(crate) fn gather(
-        &mut self,
-        camera: &Camera,
-        values: &[[f32; 3]],
-        show: Show,
-    ) -> Result<Vec<[f32; 4]>, GpuError> {
-        let padded: Vec<[f32; 4]> = values.iter().map(|v| [v[0], v[1], v[2], 0.0]).collect();
-        loop {
-            let view = show.of(self.prepare(camera)?);
-            self.gpu.write(&self.backward.image_gradient, 0, &padded);
-            let mut frame = Frame::new(self.gpu);
-            // Splats out of view would otherwise keep sums of another view.
-            frame.clear(self.backward.moments().0);
-            self.pipeline.record(self.gpu, &mut frame, &view);
-            self.backward.record_blend(&mut frame, &view);
-            frame.submit();
-            if !self.grow_after_frame()? {
-                break;
-            }
-        }
-        let (moments, row) = self.backward.moments();
-        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.front.n_splats * row)?;
-        Ok(rows.chunks_exact(row).map(|m| [m[6], m[7], m[8], m[9]]).collect())
-    }
-
-    /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.
-    pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
-        loop {
-            let view = self.prepare(camera)?;
-            let depth = self.pipeline.submit_median_depth(self.gpu, &view)?;
-            if !self.grow_after_frame()? {
-                return self.gpu.read(&depth, view.pixels());
-            }
-        }
-    }
-
-    /// Index + 1 of the nearest triangle at each pixel of the last rendered view, `[h·w]`; 0 where there is none; empty
-    /// without meshes. Waits.
-    pub(crate) fn front_triangles(&self, camera: &Camera) -> Result<Vec<u32>, GpuError> {
-        let pixels = camera.intrinsics().pixels();
-        self.pipeline.front.mesh.as_ref().map_or(Ok(vec![]), |m| m.read_front_triangles(self.gpu, pixels))
-    }
-
     /// Loss of the last step. Waits for it.
     #[cfg(test)]
     pub(crate) fn loss(&self) -> Result<LossValues, GpuError> {
@@ -441,126 +365,10 @@ impl<'g> Training<'g> {
         self.refresh()
     }
 
-    /// Reads parameters and moments of all splats. Waits.
-    pub(crate) fn read_splats(&self) -> Result<SplatState, GpuError> {
-        let (p, n) = (&self.pipeline.front, self.pipeline.front.n_splats);
-        let [gm, gv, sm, sv] = &self.moments;
-        let terms = sh_floats(&p.splats);
-        let read = |buffer: &Buffer, width: usize| self.gpu.read::<f32>(buffer, n * width);
-        Ok(SplatState {
-            sh_degree: p.splats.sh_degree,
-            geometry: read(&p.splats.geometry, GEOMETRY_FLOATS)?,
-            sh: read(&p.splats.sh, terms)?,
-            geometry_m: read(gm, GEOMETRY_FLOATS)?,
-            geometry_v: read(gv, GEOMETRY_FLOATS)?,
-            sh_m: read(sm, terms)?,
-            sh_v: read(sv, terms)?,
-        })
-    }
-
-    /// Reads the geometry of all splats, `[N·12]`. Waits.
-    pub(crate) fn read_geometry(&self) -> Result<Vec<f32>, GpuError> {
-        self.gpu.read(&self.pipeline.front.splats.geometry, self.pipeline.front.n_splats * GEOMETRY_FLOATS)
-    }
-
-    /// Replaces the geometry of all splats; each takes everything else from its source. Statistics are zeroed. Waits
-    /// only if buffers have to grow, or for more geometry than is uploaded at once.
-    ///
-    /// # Errors
-    /// If the adapter has no memory left.
-    pub(crate) fn rearrange(&mut self, geometry: &[f32], sources: &[Source]) -> Result<(), GpuError> {
-        let n = sources.len();
-        assert_eq!(geometry.len(), n * GEOMETRY_FLOATS, "one source per splat");
-        debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.front.n_splats), "sources are splats");
-        if n > self.pipeline.front.splats.capacity {
-            self.enlarge(n)?;
-        }
-        let (p, [gm, gv, sm, sv]) = (&self.pipeline.front, &self.moments);
-        // Gradients serve as scratch space, as the next step writes them before it reads them.
-        let gradients = &self.backward.splats;
-        let (scratch, sh_scratch) = (&gradients.geometry, &gradients.sh);
-        let buffers = [
-            (Rows::GeometryMoments, gm, scratch),
-            (Rows::GeometryMoments, gv, scratch),
-            (Rows::Parameters, &p.splats.sh, sh_scratch),
-            (Rows::ShMoments, sm, sh_scratch),
-            (Rows::ShMoments, sv, sh_scratch),
-        ];
-        self.rows.run(self.gpu, sources, &buffers)?;
-        self.gpu.write(&p.splats.geometry, 0, geometry);
-        let mut frame = Frame::new(self.gpu);
-        frame.clear(&gradients.statistics);
-        frame.submit();
-        self.pipeline.front.n_splats = n;
-        Ok(())
-    }
-
-    /// Makes room for `n` splats. Buffers that every step refills are freed first and reallocated last, so that the
-    /// copying of parameters and moments in between peaks no higher than the final allocation. Waits.
-    fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
-        let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.front.splats.sh_degree, self.pipeline.front.n_splats);
-        let [pairs, _] = self.list_lengths();
-        self.pipeline.front.n_splats = 0;
-        let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?, 0)?;
-        let moments = self.replace_moments(new_moments(gpu, &self.pipeline.front.splats)?);
-        self.refresh()?;
-        let larger = SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?;
-        let larger_moments = new_moments(gpu, &larger)?;
-        let parameters = [(&splats.geometry, &larger.geometry), (&splats.sh, &larger.sh)];
-        let mut frame = Frame::new(gpu);
-        for (from, to) in parameters.into_iter().chain(moments.iter().zip(&larger_moments)) {
-            frame.copy(from, to);
-        }
-        frame.submit();
-        drop((splats, moments));
-        gpu.wait()?;
-        self.pipeline.replace_splats(gpu, larger, pairs)?;
-        self.replace_moments(larger_moments);
-        self.refresh()?;
-        self.pipeline.front.n_splats = n_splats;
-        Ok(())
-    }
-
     /// Replaces the moments by ones of the pipeline's present capacity, returning the old ones.
     fn replace_moments(&mut self, moments: [Buffer; 4]) -> [Buffer; 4] {
         self.moments_of = self.pipeline.front.splats.capacity;
         std::mem::replace(&mut self.moments, moments)
-    }
-
-    /// Replaces all splats. Statistics are zeroed.
-    pub(crate) fn write_splats(&mut self, state: &SplatState) -> Result<(), GpuError> {
-        let n = state.len();
-        if n > self.pipeline.front.splats.capacity {
-            let sh_degree = self.pipeline.front.splats.sh_degree;
-            // All data is on the host: the old buffers are freed first, so that both need not fit.
-            let [pairs, _] = self.list_lengths();
-            self.pipeline.front.n_splats = 0;
-            for (capacity, pairs) in [(0, 0), (with_headroom(self.gpu, n, sh_degree), pairs)] {
-                let splats = SplatBuffers::new(self.gpu, capacity, sh_degree)?;
-                self.pipeline.replace_splats(self.gpu, splats, pairs)?;
-                self.refresh()?;
-                self.gpu.wait()?;
-            }
-        }
-        self.pipeline.front.n_splats = n;
-        let p = &self.pipeline.front;
-        let [gm, gv, sm, sv] = &self.moments;
-        let buffers = [&p.splats.geometry, &p.splats.sh, gm, gv, sm, sv];
-        for (buffer, values) in buffers.into_iter().zip(state.arrays()) {
-            self.gpu.write(buffer, 0, values);
-        }
-        self.write_statistics(&vec![0.0; 4 * n]);
-        Ok(())
-    }
-
-    /// Reads the density statistics, `[N·4]`, see `splat_backward.wgsl`. Waits.
-    pub(crate) fn read_statistics(&self) -> Result<Vec<f32>, GpuError> {
-        self.gpu.read(&self.backward.splats.statistics, self.pipeline.front.n_splats * 4)
-    }
-
-    /// Replaces the density statistics.
-    pub(crate) fn write_statistics(&self, statistics: &[f32]) {
-        self.gpu.write(&self.backward.splats.statistics, 0, statistics);
     }
 
     /// First and second moments of the maps, in one documented order. Waits.

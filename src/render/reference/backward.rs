@@ -1,4 +1,5 @@
-//! All gradients in closed form, in one pass over the pixels' lists, back to front. The tests compare them with finite differences.
+//! All gradients in closed form, in one pass over the pixels' lists, back to front. The tests compare them with finite
+//! differences.
 
 use glam::{DMat2, DMat3, DVec2, DVec3};
 

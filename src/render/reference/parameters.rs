@@ -17,8 +17,8 @@ pub struct Parameters {
     pub log_scales: Vec<DVec3>,
     /// Opacity logits, `[N]`.
     pub opacity_logits: Vec<f64>,
-    /// Standard deviations of the Gaussians that the splats are smoothed with ([`smoothed`](crate::scene::smoothed)), `[N]`; 0 in a scene, whose
-    /// splats are as they are. Training chooses them and does not differentiate by them.
+    /// Standard deviations of the Gaussians that the splats are smoothed with ([`smoothed`](crate::scene::smoothed)),
+    /// `[N]`; 0 in a scene, whose splats are as they are. Training chooses them and does not differentiate by them.
     pub smoothing: Vec<f64>,
     /// SH coefficients, `[N·(d+1)²]` RGB, splat-major.
     pub sh: Vec<DVec3>,

@@ -312,7 +312,8 @@ impl<'a> Document<'a> {
         self.elements(index(primitive.get("attributes")?, "POSITION")?)
     }
 
-    /// `None` if something about it is broken, which [`super::accessors`] reports, or if an extension may have its values.
+    /// `None` if something about it is broken, which [`super::accessors`] reports, or if an extension may have its
+    /// values.
     pub(super) fn elements(&self, accessor: usize) -> Option<Elements<'_>> {
         let is_supplied = self.supplied.contains(&accessor);
         let accessor = self.object("accessors", accessor)?;

@@ -183,7 +183,8 @@ impl Gpu {
         self
     }
 
-    /// The same adapter, with what there is for software adapters: storage for uniforms, few threads, loops that end, memory that is the host's.
+    /// The same adapter, with what there is for software adapters: storage for uniforms, few threads, loops that end,
+    /// memory that is the host's.
     #[cfg(test)]
     pub(crate) fn posing_as_cpu(mut self) -> Self {
         self.kernels = Mutex::default();
@@ -192,7 +193,8 @@ impl Gpu {
         self
     }
 
-    /// The first error the driver reported outside a call that returns one. Lack of memory is told once: there may be enough later.
+    /// The first error the driver reported outside a call that returns one. Lack of memory is told once: there may be
+    /// enough later.
     ///
     /// # Errors
     /// That error.
