@@ -6,7 +6,6 @@
 
 mod backdrop;
 mod budget;
-mod comparison;
 mod density_step;
 mod finding;
 mod handover;
@@ -16,43 +15,37 @@ mod origin;
 mod phase;
 mod photographs;
 mod plan;
-mod poses;
 mod pruning;
 mod selection;
+mod setup;
 mod start;
 mod unseen;
+mod views;
 
-pub use poses::RefinedPose;
+pub use views::RefinedPose;
 
 use std::{
     cell::OnceCell,
     ops::ControlFlow,
     path::{Path, PathBuf},
-    rc::Rc,
     sync::atomic::AtomicBool,
 };
 
-use glam::Vec3;
-
-use self::{budget::Budget, origin::Origin, photographs::Photographs};
+use self::origin::Origin;
+use self::setup::{Scales, Setup};
+use self::views::Views;
 use super::{
-    Background, Density, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions,
-    arrangement::Arrangement,
-    finite, fused, initialize,
+    Density, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions, finite,
     log::Log,
     memory, or_why_not,
     resume::{Identity, Saved, SurfaceRecord},
-    size,
 };
 use crate::{
     capture::Capture,
-    geometry::{ChartSpace, Contraction, MeshBvh, Shell},
-    render::gpu::{Gpu, exposure::ExposureState, memory::most_splats, pose::PoseState, training::Training},
-    scene::{Camera, Composition, HybridScene, Mesh, PixelFilter},
+    geometry::Shell,
+    render::gpu::{Gpu, exposure::ExposureState, memory::most_splats, training::Training},
+    scene::{Camera, HybridScene, Mesh},
 };
-
-/// Near plane of static scenes in the capture's unit (as in INRIA 3DGS), limited to a twentieth of the extent.
-const NEAR: f32 = 0.2;
 
 /// Why a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -163,38 +156,15 @@ pub fn train<'a>(
     origin.trained(trained)
 }
 
+/// A run in progress: what does not change, what it learns of the views, and its records. The scene is on the adapter.
 struct Run<'a> {
-    identity: Identity<'a>,
-    capture: &'a Capture,
-    options: &'a TrainOptions,
-    session: Session<'a>,
-    /// Cameras of all views; those of training views refined, after the phase that refines them.
-    cameras: Vec<Camera>,
-    train_cameras: Vec<Camera>,
-    train: Vec<usize>,
-    test: Vec<usize>,
-    photos: Photographs<'a>,
+    setup: Setup<'a>,
+    views: Views<'a>,
     /// Bytes of photographs that may stay on the adapter.
     kept_photographs: u64,
-    longest_side: u32,
-    budget: Budget<'a>,
-    extent: f32,
-    /// The capture's unit of length, see [`size::unit_of_length`].
-    unit: f32,
-    /// Approximate distance of what views see, world units.
-    distance: f32,
-    /// Near plane, from the poses as given.
-    near: f32,
     log: Log,
     found: SurfaceRecord,
-    /// Shell for surfaces that the run makes; none where the photographs' alpha or masks say that nothing is behind.
-    shell: Option<Shell>,
-    /// Ray hierarchy of the given mesh.
-    given_hierarchy: OnceCell<Rc<MeshBvh>>,
-    /// Exposures of all views of the capture, after the last phase.
-    exposures: Option<ExposureState>,
-    /// Poses of all views of the capture, after the phase that refines them.
-    poses: Option<PoseState>,
+    session: Session<'a>,
 }
 
 impl<'a> Run<'a> {
@@ -215,68 +185,39 @@ impl<'a> Run<'a> {
         }
         let input = identity::input(capture, source);
         let identity = Identity { options, input, finds_surface: source.is_found() };
-        let photos = Photographs::open(capture, &train, sampled(&test))?;
+        let photos = photographs::Photographs::open(capture, &train, views::sampled(&test))?;
         let cameras = capture.cameras();
         let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
-        let depth = size::median_depth(capture, &train).or_else(|| initialize::distance_of_focus(&train_cameras));
-        let narrowness = size::narrowness(&train_cameras);
-        let extent = (narrowness * size::extent(&train_cameras, depth)) as f32;
-        let unit = size::unit_of_length(f64::from(extent), depth.map(|depth| narrowness * depth)) as f32;
-        let distance = depth.map_or(extent, |depth| depth as f32);
-        let near = size::near_plane(extent, NEAR);
-        let longest_side = cameras.iter().map(longest_side).max().unwrap_or(1);
-        let budget = Budget::of(options, source, longest_side, most_splats(session.gpu, options.sh_degree));
+        let scales = Scales::of(capture, &train, &train_cameras);
+        let bindable = most_splats(session.gpu, options.sh_degree);
+        let budget = budget::Budget::of(options, source, scales.longest_side, bindable);
         // Without a warm-up the shell would not be judged.
         let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
         let shell = wants_shell.then(|| Shell::around(&train_cameras, &capture.positions())).flatten();
-        Ok(Self {
-            identity,
-            capture,
-            options,
-            session,
-            longest_side,
-            budget,
-            cameras,
-            train_cameras,
-            train,
-            test,
-            photos,
-            kept_photographs: 0,
-            extent,
-            unit,
-            distance,
-            near,
-            log,
-            found: SurfaceRecord::default(),
-            shell,
-            given_hierarchy: OnceCell::new(),
-            exposures: options.exposure.then(|| ExposureState::new(capture.views.len())),
-            poses: None,
-        })
+        let given_hierarchy = OnceCell::new();
+        let setup = Setup { capture, options, identity, train, test, scales, budget, shell, given_hierarchy };
+        let exposures = options.exposure.then(|| ExposureState::new(capture.views.len()));
+        let views = Views { photos, cameras, train_cameras, exposures, poses: None };
+        Ok(Self { setup, views, kept_photographs: 0, log, found: SurfaceRecord::default(), session })
     }
 
     fn all(&mut self, source: MeshSource) -> Result<Trained, TrainError> {
         let mut saved = match &self.session.checkpoints {
-            Checkpoints::Resume(file) => Some(Saved::read(file, &self.identity)?),
+            Checkpoints::Resume(file) => Some(Saved::read(file, &self.setup.identity)?),
             Checkpoints::Off | Checkpoints::Save(_) => None,
         };
         // The phases before this one are done; the saved state belongs to it.
         let first = match &saved {
             Some(saved) => saved.phase,
-            None if self.finds_surface() => Phase::Surface,
+            None if self.setup.finds_surface() => Phase::Surface,
             None => Phase::Warmup,
         };
         if let Some(saved) = &mut saved {
             self.recall(saved);
         }
-        self.kept_photographs = memory::check(
-            self.session.gpu,
-            self.options,
-            &self.cameras,
-            &source,
-            self.budget.splats_beside(&[]),
-            self.budget.texture_size(),
-        )?;
+        let (o, cameras, budget) = (self.setup.options, &self.views.cameras, &self.setup.budget);
+        let (most, size) = (budget.splats_beside(&[]), budget.texture_size());
+        self.kept_photographs = memory::check(self.session.gpu, o, cameras, &source, most, size)?;
         let of_points = source == MeshSource::Points;
         let mut scene = self.first_scene(source, saved.as_mut())?;
         let mut training = if first == Phase::Surface {
@@ -293,7 +234,7 @@ impl<'a> Run<'a> {
             {
                 return self.finish(&mut training, &scene, Outcome::Interrupted);
             }
-            if self.finds_surface() {
+            if self.setup.finds_surface() {
                 training = self.share_out(training, &mut scene)?;
             }
         }
@@ -306,10 +247,10 @@ impl<'a> Run<'a> {
         self.log.past = std::mem::take(&mut saved.past);
         self.log.reached = (saved.phase, saved.iteration);
         self.found = std::mem::take(&mut saved.found);
-        if !self.refines_poses(saved.phase)
+        if !self.setup.refines_poses(saved.phase)
             && let Some(poses) = saved.poses.take()
         {
-            self.fix_poses(poses);
+            self.views.fix_poses(&self.setup, poses);
         }
     }
 
@@ -320,13 +261,15 @@ impl<'a> Run<'a> {
             (Some(saved), _) => std::mem::take(&mut saved.meshes),
             (None, MeshSource::Given { surface, corner_uvs }) => {
                 self.found.surface = Some(SurfaceOrigin::Given);
-                vec![self.given(surface, corner_uvs)?]
+                let mesh = start::mesh(&self.setup, surface, corner_uvs)?;
+                vec![unseen::without_unseen(&self.setup, &self.views, mesh)?]
             }
             (None, _) => vec![],
         };
         // A mesh that exists from the beginning takes its part of the budget from the beginning.
-        let splats = self.initial_splats(if self.finds_surface() { &[] } else { &meshes }, begins)?;
-        Ok(HybridScene { splats, meshes, composition: self.composition() })
+        let beside: &[Mesh] = if self.setup.finds_surface() { &[] } else { &meshes };
+        let splats = start::splats(&self.setup, &self.views, beside, begins)?;
+        Ok(HybridScene { splats, meshes, composition: self.setup.composition() })
     }
 
     /// Trains splats alone and makes the mesh of the scene, if one can be made. Returns the training in which the
@@ -341,16 +284,16 @@ impl<'a> Run<'a> {
         if self.run_phase(&mut training, scene, Phase::Surface, saved)? == Outcome::Interrupted {
             return Ok(ControlFlow::Break(Box::new(self.finish(&mut training, scene, Outcome::Interrupted)?)));
         }
-        scene.meshes = match or_why_not(self.find_surface(&mut training, of_points))? {
-            Ok(mesh) => vec![mesh],
-            Err(why) => {
-                self.found.no_surface = Some(why.to_string());
-                vec![]
+        match or_why_not(finding::find_surface(&self.setup, &self.views, &mut training, of_points))? {
+            Ok((mesh, origin)) => {
+                self.found.surface = Some(origin);
+                scene.meshes = vec![mesh];
             }
-        };
+            Err(why) => self.found.no_surface = Some(why.to_string()),
+        }
         // Checked as in `share_out`, before the adapter allocates: maps that are never packed again may exceed the
         // budget.
-        if self.options.warmup == 0 && self.budget.check(&scene.meshes).is_err() {
+        if self.setup.options.warmup == 0 && self.setup.budget.check(&scene.meshes).is_err() {
             scene.meshes.clear();
         }
         let splats = training.read_splats()?;
@@ -370,13 +313,13 @@ impl<'a> Run<'a> {
         scene.meshes = training.read_meshes(&scene.meshes)?;
         let mut meshes = scene.meshes.clone();
         // Maps without training cannot be judged.
-        if let Some(mesh) = scene.meshes.first().filter(|_| self.options.warmup > 0) {
-            let (kept, selection) = self.select_faces(&mut training, mesh)?;
+        if let Some(mesh) = scene.meshes.first().filter(|_| self.setup.options.warmup > 0) {
+            let (kept, selection) = selection::select_faces(&self.setup, &self.views, &mut training, mesh)?;
             self.found.selection = Some(selection);
             meshes = kept.into_iter().collect();
         }
         // With a budget too small for a mesh, plain splats are the better use of it.
-        if self.budget.check(&meshes).is_err() {
+        if self.setup.budget.check(&meshes).is_err() {
             meshes.clear();
         }
         // A judged mesh is another one to Adam, even where its maps are the same.
@@ -390,70 +333,26 @@ impl<'a> Run<'a> {
         }
         // Without a mesh nothing replaces the splats.
         if !scene.meshes.is_empty() {
-            self.hand_over(&mut training, self.budget.splats_beside(&scene.meshes))?;
+            let most = self.setup.budget.splats_beside(&scene.meshes);
+            handover::hand_over(&self.setup, &self.views, &mut training, most)?;
         }
         Ok(training)
     }
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
-        let mut training = Training::new(self.session.gpu, scene, &self.cameras, self.options.ssim_weight)?;
+        let (o, views) = (self.setup.options, &self.views);
+        let mut training = Training::new(self.session.gpu, scene, &views.cameras, o.ssim_weight)?;
         training.keep_photographs(self.kept_photographs);
-        if self.options.density == Density::Absgs {
+        if o.density == Density::Absgs {
             training.sum_absolute_gradients()?;
         }
-        if self.options.antialias {
-            training.smooth_for(&self.train_cameras)?;
+        if o.antialias {
+            training.smooth_for(&views.train_cameras)?;
         }
-        if let Some(state) = &self.exposures {
+        if let Some(state) = &views.exposures {
             training.expose(state)?;
         }
         Ok(training)
-    }
-
-    /// Whether the run makes its surface itself; the joint phase then begins with the splats of the surface phase.
-    fn finds_surface(&self) -> bool {
-        self.identity.finds_surface
-    }
-
-    fn composition(&self) -> Composition {
-        Composition {
-            mode: self.options.mode,
-            lambda: self.options.lambda * self.extent,
-            layers: self.options.layers,
-            background: if self.options.background == Background::White { [1.0; 3] } else { [0.0; 3] },
-            near: self.near,
-            pixel_filter: if self.options.antialias { PixelFilter::MIP } else { PixelFilter::DILATION },
-            ..Composition::default()
-        }
-    }
-
-    /// Points from which the scene's place is estimated, see [`fused::whereabouts`]. Splats beside an untrained mesh
-    /// rest, so the answer does not change.
-    fn whereabouts(&self, training: &Training) -> Result<Vec<Vec3>, TrainError> {
-        fused::whereabouts(self.capture, || Ok(training.read_splats()?.to_splats()?.means().to_vec()))
-    }
-
-    /// Space in which charts are laid out, if not the world: in unbounded scenes and with a shell. From the present
-    /// cameras.
-    fn charts_in(&self, training: &Training) -> Result<Option<ChartSpace>, TrainError> {
-        let points = self.whereabouts(training)?;
-        let around = || Contraction::around(&self.train_cameras, &points);
-        Ok(match (Contraction::if_unbounded(&self.train_cameras, &points)?, self.shell) {
-            (Some(contraction), _) => Some(ChartSpace::unbounded(contraction)),
-            (None, Some(shell)) => Some(ChartSpace::within_shell(around()?, shell)),
-            (None, None) => None,
-        })
-    }
-
-    /// Ray hierarchy of the meshes of this run. That of a given mesh, which does not move, is built once.
-    fn hierarchy(&self, meshes: &[Mesh]) -> Rc<MeshBvh> {
-        let build = || Rc::new(MeshBvh::of(meshes));
-        // Nothing to keep without a mesh; and each mesh that the run makes is another one.
-        if self.finds_surface() || meshes.is_empty() {
-            build()
-        } else {
-            Rc::clone(self.given_hierarchy.get_or_init(build))
-        }
     }
 
     fn finish(
@@ -462,33 +361,35 @@ impl<'a> Run<'a> {
         scene: &HybridScene,
         outcome: Outcome,
     ) -> Result<Trained, TrainError> {
+        let (setup, views) = (&self.setup, &self.views);
         let (phase, iteration) = self.log.reached;
         finite::check_finite(training, phase, iteration)?;
         let (splats, mut meshes) = (training.read_splats()?.to_splats()?, training.read_meshes(&scene.meshes)?);
         let all = splats.len();
         // An interrupted run keeps all splats, as its checkpoint does.
         let splats = match outcome {
-            Outcome::Finished => self.without_occluded(training, splats, &meshes)?,
+            Outcome::Finished => pruning::without_occluded(setup, views, training, splats, &meshes)?,
             Outcome::Interrupted => splats,
         };
         let triangles = |meshes: &[Mesh]| meshes.iter().map(|mesh| mesh.triangles().len()).sum::<usize>();
         let trained = triangles(&meshes);
         // As for splats; of the user's mesh nothing is removed.
-        if self.finds_surface() && outcome == Outcome::Finished {
-            meshes = meshes.into_iter().filter_map(|mesh| self.without_faint(mesh)).collect();
+        if setup.finds_surface() && outcome == Outcome::Finished {
+            let viewers = setup.viewers(&views.train_cameras);
+            meshes = meshes.into_iter().filter_map(|mesh| pruning::without_faint(mesh, &viewers)).collect();
         }
         let scene = HybridScene { splats, meshes, composition: scene.composition };
-        let exposures = self.exposures.as_ref().map_or_else(Vec::new, |state| {
-            self.train.iter().map(|&i| (self.capture.views[i].name.clone(), state.of(i))).collect()
+        let exposures = views.exposures.as_ref().map_or_else(Vec::new, |state| {
+            setup.train.iter().map(|&i| (setup.capture.views[i].name.clone(), state.of(i))).collect()
         });
-        let far_of = |mesh: &Mesh| mesh.triangles().iter().filter(|t| self.is_of_shell(mesh, t)).count();
+        let far_of = |mesh: &Mesh| mesh.triangles().iter().filter(|t| setup.is_of_shell(mesh, t)).count();
         Ok(Trained {
             shell_triangles: scene.meshes.iter().map(far_of).sum(),
             faint_triangles: trained - triangles(&scene.meshes),
             occluded_splats: all - scene.splats.len(),
             exposures,
-            poses: self.refined_poses(),
-            cameras: self.cameras.clone(),
+            poses: views.refined_poses(setup),
+            cameras: views.cameras.clone(),
             surface: self.found.surface.filter(|_| !scene.meshes.is_empty()),
             no_surface: self.found.no_surface.take(),
             selection: self.found.selection,
@@ -501,20 +402,6 @@ impl<'a> Run<'a> {
             history: std::mem::take(&mut self.log.past.history),
         })
     }
-}
-
-/// Up to four of the held-out views, evaluated while training.
-fn sampled(test: &[usize]) -> impl Iterator<Item = usize> {
-    test.iter().copied().step_by(test.len().div_ceil(4).max(1))
-}
-
-fn longest_side(camera: &Camera) -> u32 {
-    camera.intrinsics().longer_side()
-}
-
-/// Splats on the GPU as an [`Arrangement`].
-pub(super) fn arrangement(training: &Training) -> Result<Arrangement, TrainError> {
-    Ok(Arrangement::new(training.read_geometry()?))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use glam::{DVec3, Vec2};
 use rayon::prelude::*;
 
-use super::Run;
+use super::{setup::Setup, views::Views};
 use crate::{
     capture::Photo,
     geometry::{MeshBvh, Shell, Viewers},
@@ -32,45 +32,37 @@ struct Spot {
     views: f32,
 }
 
-impl Run<'_> {
-    /// Whether a triangle of a mesh is one of the shell.
-    pub(super) fn is_of_shell(&self, mesh: &Mesh, triangle: &[u32; 3]) -> bool {
-        self.shell.is_some_and(|shell| shell.holds(mesh.positions()[triangle[0] as usize]))
+/// Paints the triangles of the shell with the mean colour of the views that warm up the maps, with exposures undone. A
+/// view counts for a triangle only if it sees all its corners past the rest of the mesh.
+pub(super) fn painted(setup: &Setup, views: &Views, mesh: Mesh) -> Result<Mesh, TrainError> {
+    let is_far = |t: &[u32; 3]| setup.is_of_shell(&mesh, t);
+    let rest: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
+    let bvh = MeshBvh::new([(mesh.positions(), rest.as_slice())]);
+    let base = mesh.atlas().base();
+    let mut faces: Vec<Face> = (mesh.triangles().iter().zip(mesh.corner_uvs()))
+        .filter(|(t, _)| is_far(t))
+        .map(|(t, uvs)| Face::new(t.map(|v| mesh.positions()[v as usize].as_dvec3()), *uvs, base.width()))
+        .collect();
+    let exposures = views.exposures.as_ref();
+    // All cameras, by the capture's numbers.
+    let viewers = Viewers { layers: 1, ..setup.viewers(&views.cameras) };
+    for i in setup.views_judging(false) {
+        let photo = views.photos.of(i)?;
+        let camera = &views.cameras[i];
+        let color = |rgb| exposures.map_or(rgb, |exposures| exposures.undo(i, rgb));
+        let is_seen = |face: &&mut Face| face.corners.iter().all(|p| Shell::is_seen(&viewers, i, *p, &bvh));
+        faces.par_iter_mut().filter(is_seen).for_each(|face| face.add(camera, &photo, color));
     }
-
-    /// Paints the triangles of the shell with the mean colour of the views that warm up the maps, with exposures
-    /// undone. A view counts for a triangle only if it sees all its corners past the rest of the mesh.
-    pub(super) fn painted(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
-        let is_far = |t: &[u32; 3]| self.is_of_shell(&mesh, t);
-        let rest: Vec<[u32; 3]> = mesh.triangles().iter().filter(|t| !is_far(t)).copied().collect();
-        let bvh = MeshBvh::new([(mesh.positions(), rest.as_slice())]);
-        let base = mesh.atlas().base();
-        let mut faces: Vec<Face> = (mesh.triangles().iter().zip(mesh.corner_uvs()))
-            .filter(|(t, _)| is_far(t))
-            .map(|(t, uvs)| Face::new(t.map(|v| mesh.positions()[v as usize].as_dvec3()), *uvs, base.width()))
-            .collect();
-        let exposures = self.exposures.as_ref();
-        // All cameras, by the capture's numbers.
-        let viewers = Viewers { cameras: &self.cameras, layers: 1, ..self.viewers() };
-        for i in self.views(false) {
-            let view = &self.capture.views[i];
-            let photo = self.photos.whole(view)?;
-            let camera = &self.cameras[i];
-            let color = |rgb| exposures.map_or(rgb, |exposures| exposures.undo(i, rgb));
-            let is_seen = |face: &&mut Face| face.corners.iter().all(|p| Shell::is_seen(&viewers, i, *p, &bvh));
-            faces.par_iter_mut().filter(is_seen).for_each(|face| face.add(camera, &photo, color));
+    let mut texels = base.texels().to_vec();
+    for inside in [false, true] {
+        for spot in faces.iter().flat_map(|face| &face.spots).filter(|s| s.is_inside == inside && s.views > 0.0) {
+            let dc = sh::dc_from_rgb(spot.sum.map(|sum| sum / spot.views));
+            texels[4 * spot.index..4 * spot.index + 4].copy_from_slice(&[dc[0], dc[1], dc[2], OPACITY]);
         }
-        let mut texels = base.texels().to_vec();
-        for inside in [false, true] {
-            for spot in faces.iter().flat_map(|face| &face.spots).filter(|s| s.is_inside == inside && s.views > 0.0) {
-                let dc = sh::dc_from_rgb(spot.sum.map(|sum| sum / spot.views));
-                texels[4 * spot.index..4 * spot.index + 4].copy_from_slice(&[dc[0], dc[1], dc[2], OPACITY]);
-            }
-        }
-        let base = Texture::new(base.width(), base.height(), 4, texels)?;
-        let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
-        Ok(mesh.with_atlas(atlas))
     }
+    let base = Texture::new(base.width(), base.height(), 4, texels)?;
+    let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
+    Ok(mesh.with_atlas(atlas))
 }
 
 impl Face {

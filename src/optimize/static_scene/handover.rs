@@ -1,8 +1,8 @@
 //! Handover: selection of the splats that a mesh does not make superfluous.
 
-use super::{Run, arrangement};
+use super::{setup::Setup, views::Views};
 use crate::{
-    optimize::TrainError,
+    optimize::{TrainError, arrangement::Arrangement},
     render::gpu::training::{Show, Training},
 };
 
@@ -10,27 +10,25 @@ use crate::{
 /// splats.
 const KEEPS_ONE_OF: usize = 100;
 
-impl<'a> Run<'a> {
-    /// Keeps those splats of the surface phase that explain the photographs better than the mesh, which takes over the
-    /// smooth regions, as in HERA: a splat is removed if over its footprint in all views the squared error of the mesh
-    /// alone is no larger than that of the splats alone. What remains is mostly fine structure, at most `max_splats`.
-    /// Their smoothing is measured anew.
-    pub(super) fn hand_over(&self, training: &mut Training<'a>, max_splats: usize) -> Result<(), TrainError> {
-        let mut splats = arrangement(training)?;
-        let (mut advantage, mut seen) = (vec![0.0_f64; splats.len()], vec![false; splats.len()]);
-        self.compare(training, &self.train, |training, camera, errors| {
-            let gathered = training.gather(camera, errors, Show::SplatsAlone)?;
-            for ((sum, seen), [mesh, splats, _, weight]) in advantage.iter_mut().zip(&mut seen).zip(gathered) {
-                *sum += f64::from(mesh) - f64::from(splats);
-                *seen |= weight > 0.0;
-            }
-            Ok(())
-        })?;
-        splats.retain(&kept(&advantage, &seen, max_splats));
-        training.rearrange(splats.geometry(), splats.sources())?;
-        training.smooth();
+/// Keeps those splats of the surface phase that explain the photographs better than the mesh, which takes over the
+/// smooth regions, as in HERA: a splat is removed if over its footprint in all views the squared error of the mesh
+/// alone is no larger than that of the splats alone. What remains is mostly fine structure, at most `most` splats.
+/// Their smoothing is measured anew.
+pub(super) fn hand_over(setup: &Setup, views: &Views, training: &mut Training, most: usize) -> Result<(), TrainError> {
+    let mut splats = Arrangement::new(training.read_geometry()?);
+    let (mut advantage, mut seen) = (vec![0.0_f64; splats.len()], vec![false; splats.len()]);
+    views.compare(training, &setup.train, setup.composition().background, |training, camera, errors| {
+        let gathered = training.gather(camera, errors, Show::SplatsAlone)?;
+        for ((sum, seen), [mesh, splats, _, weight]) in advantage.iter_mut().zip(&mut seen).zip(gathered) {
+            *sum += f64::from(mesh) - f64::from(splats);
+            *seen |= weight > 0.0;
+        }
         Ok(())
-    }
+    })?;
+    splats.retain(&kept(&advantage, &seen, most));
+    training.rearrange(splats.geometry(), splats.sources())?;
+    training.smooth();
+    Ok(())
 }
 
 /// Which splats stay, `[N]`, by their `advantage` over the mesh and whether any view sees them: those with a positive

@@ -1,14 +1,10 @@
-//! Who looks at the scene of a run, and what masks leave of their pictures.
+//! What masks leave of the pictures of the training views.
 
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::Run;
-use crate::{
-    capture::{Photo, pixel_index},
-    geometry::Viewers,
-    optimize::TrainError,
-};
+use super::photographs::Photographs;
+use crate::capture::{CaptureError, Photo, pixel_index};
 
 /// What masks leave of the pictures of the training views, in their order.
 pub(super) struct Masks(Vec<Option<MaskBits>>);
@@ -19,27 +15,16 @@ struct MaskBits {
     pixels: Vec<u64>,
 }
 
-impl Run<'_> {
-    /// The training views, with all of their pictures and as many layers as are drawn.
-    pub(super) fn viewers(&self) -> Viewers<'_> {
-        Viewers::unmasked(&self.train_cameras, f64::from(self.near), self.options.layers as usize)
-    }
-
-    /// What masks leave of the training views, where there are any.
-    pub(super) fn masks(&self) -> Result<Masks, TrainError> {
-        let (photos, capture) = (&self.photos, self.capture);
-        let of_view = |&i: &usize| {
-            let photo = photos.whole(&capture.views[i])?;
-            Ok(photo.masked.then(|| MaskBits::of(&photo)))
-        };
-        let bits: Result<Vec<Option<MaskBits>>, TrainError> = self.train.par_iter().map(of_view).collect();
-        Ok(Masks(bits?))
-    }
-}
-
 impl Masks {
-    /// Whether the picture of a training view, by its place among these, says anything at a continuous pixel position inside it, as
-    /// [`Viewers::shows`].
+    /// Of the training views, by their indices in the capture.
+    pub(super) fn of(photos: &Photographs, train: &[usize]) -> Result<Self, CaptureError> {
+        let of_view = |&i: &usize| photos.of(i).map(|photo| photo.masked.then(|| MaskBits::of(&photo)));
+        let bits: Result<Vec<Option<MaskBits>>, CaptureError> = train.par_iter().map(of_view).collect();
+        bits.map(Self)
+    }
+
+    /// Whether the picture of a training view, by its place among these, says anything at a continuous pixel position
+    /// inside it, as [`Viewers::shows`](crate::geometry::Viewers::shows).
     pub(super) fn show(&self, view: usize, at: DVec2) -> bool {
         self.0[view].as_ref().is_none_or(|bits| bits.hold(pixel_index(bits.width, at.x as usize, at.y as usize)))
     }

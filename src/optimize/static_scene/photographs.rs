@@ -1,4 +1,4 @@
-//! Photographs of a run, at the size at which they are trained on, and their comparison with renders.
+//! Photographs of a run, at the size at which they are trained on.
 
 use std::sync::Arc;
 
@@ -6,7 +6,6 @@ use rayon::prelude::*;
 
 use crate::{
     capture::{Capture, CaptureError, DECODED_AT_ONCE, Photo, PhotoCache, View},
-    evaluate,
     render::gpu::loss::TruthAlpha,
 };
 
@@ -60,6 +59,11 @@ impl<'a> Photographs<'a> {
         Ok(Self { views, budget, cache, small: None, are_cut_out })
     }
 
+    /// Photograph of a view by its index in the capture, at its full size.
+    pub(super) fn of(&self, view: usize) -> Result<Arc<Photo>, CaptureError> {
+        self.whole(&self.views[view])
+    }
+
     /// Photograph of a view of the capture, at its full size.
     pub(super) fn whole(&self, view: &View) -> Result<Arc<Photo>, CaptureError> {
         self.cache.get(view)
@@ -105,13 +109,6 @@ pub(super) fn truth_alpha(photo: &Photo) -> TruthAlpha {
         (false, true) => TruthAlpha::Composite,
         (false, false) => TruthAlpha::Ignore,
     }
-}
-
-/// Squared difference of a render from pixel `p` of a photograph, as both are scored.
-pub(super) fn squared_error(photo: &Photo, p: usize, render: &[f32; 3], background: [f32; 3]) -> f32 {
-    let (truth, mask) = evaluate::expected(photo, p, background);
-    let error: f32 = truth.iter().zip(render).map(|(truth, render)| (truth - render).powi(2)).sum();
-    error * mask * mask
 }
 
 #[cfg(test)]

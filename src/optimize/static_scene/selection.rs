@@ -3,7 +3,7 @@
 
 use glam::Vec2;
 
-use super::Run;
+use super::{finding::charts_in, setup::Setup, views::Views};
 use crate::{
     geometry::{self, ChartSpace, Surface, UnwrappedMesh},
     optimize::{
@@ -42,75 +42,75 @@ struct Score {
     views: u32,
 }
 
-impl<'a> Run<'a> {
-    /// Drops the triangles whose maps explain held-back views worse than the splats do, and packs the rest anew at
-    /// about two texels per pixel, if the budget has room. `mesh` is as it is on the GPU. `None` if nothing is left.
-    pub(super) fn select_faces(
-        &self,
-        training: &mut Training<'a>,
-        mesh: &Mesh,
-    ) -> Result<(Option<Mesh>, Selection), TrainError> {
-        let judges = self.views(true);
-        let (scores, seen) = self.score(training, mesh, &judges)?;
-        let is_far: Vec<bool> = mesh.triangles().iter().map(|t| self.is_of_shell(mesh, t)).collect();
-        let least = least_views(&scores, &is_far, judges.len() < self.train.len());
-        let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)).zip(&least))
-            .map(|((s, [maps, splats]), least)| s.views >= *least && maps <= WORST_RATIO * splats)
-            .collect();
-        let count = |keep: &[bool]| keep.iter().filter(|k| **k).count();
-        let (all, unseen) = (keep.len(), scores.iter().zip(&least).filter(|(s, least)| s.views < **least).count());
-        let large_or_small = count(&keep);
-        drop_small(mesh, &scores, &mut keep);
-        let selection = Selection {
-            triangles: all,
-            unseen,
-            worse: all - unseen - large_or_small,
-            small: large_or_small - count(&keep),
-        };
-        if selection.kept() == 0 {
-            return Ok((None, selection));
-        }
-        let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
-        let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
-        let share = (covered / seen.max(1.0)).min(1.0);
-        let size = side_for(pixels, share, mesh.atlas(), self.options.max_floats);
-        let charts_in = self.charts_in(training)?;
-        // Texels in a budget compete with splats. Bands are coarser, and share texels across charts where gutters are
-        // narrow.
-        let narrow = self.options.max_floats.is_some() && mesh.atlas().bands().is_none();
-        let gutter = if narrow { 0 } else { geometry::WIDEST_GUTTER };
-        Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size, gutter)?, selection))
+/// Drops the triangles whose maps explain held-back views worse than the splats do, and packs the rest anew at about
+/// two texels per pixel, if the budget has room. `mesh` is as it is on the GPU. `None` if nothing is left.
+pub(super) fn select_faces(
+    setup: &Setup,
+    views: &Views,
+    training: &mut Training,
+    mesh: &Mesh,
+) -> Result<(Option<Mesh>, Selection), TrainError> {
+    let judges = setup.views_judging(true);
+    let (scores, seen) = score(views, setup.composition().background, training, mesh, &judges)?;
+    let is_far: Vec<bool> = mesh.triangles().iter().map(|t| setup.is_of_shell(mesh, t)).collect();
+    let least = least_views(&scores, &is_far, judges.len() < setup.train.len());
+    let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)).zip(&least))
+        .map(|((s, [maps, splats]), least)| s.views >= *least && maps <= WORST_RATIO * splats)
+        .collect();
+    let count = |keep: &[bool]| keep.iter().filter(|k| **k).count();
+    let (all, unseen) = (keep.len(), scores.iter().zip(&least).filter(|(s, least)| s.views < **least).count());
+    let large_or_small = count(&keep);
+    drop_small(mesh, &scores, &mut keep);
+    let selection = Selection {
+        triangles: all,
+        unseen,
+        worse: all - unseen - large_or_small,
+        small: large_or_small - count(&keep),
+    };
+    if selection.kept() == 0 {
+        return Ok((None, selection));
     }
+    let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
+    let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
+    let share = (covered / seen.max(1.0)).min(1.0);
+    let size = side_for(pixels, share, mesh.atlas(), setup.options.max_floats);
+    let charts_in = charts_in(setup, views, training)?;
+    // Texels in a budget compete with splats. Bands are coarser, and share texels across charts where gutters are
+    // narrow.
+    let narrow = setup.options.max_floats.is_some() && mesh.atlas().bands().is_none();
+    let gutter = if narrow { 0 } else { geometry::WIDEST_GUTTER };
+    Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size, gutter)?, selection))
+}
 
-    /// Scores of all triangles from these views, and the number of pixels judged.
-    fn score(
-        &self,
-        training: &mut Training<'a>,
-        mesh: &Mesh,
-        judges: &[usize],
-    ) -> Result<(Vec<Score>, f64), TrainError> {
-        let mut scores = vec![Score::default(); mesh.triangles().len()];
-        let mut last_view = vec![0; scores.len()];
-        let (mut view, mut seen) = (0, 0.0);
-        self.compare(training, judges, |training, camera, errors| {
-            view += 1;
-            for (front, error) in training.front_triangles(camera)?.into_iter().zip(errors) {
-                // Masked-out pixels have no error, and triangles that only such pixels show count as unseen: nothing
-                // would teach their texels.
-                if error[0] + error[1] == 0.0 {
-                    continue;
-                }
-                seen += 1.0;
-                let Some(face) = (front as usize).checked_sub(1) else { continue };
-                let score = &mut scores[face];
-                score.errors = [0, 1].map(|k| score.errors[k] + f64::from(error[k]));
-                score.pixels += 1.0;
-                score.views += u32::from(std::mem::replace(&mut last_view[face], view) != view);
+/// Scores of all triangles from these views over this background, and the number of pixels judged.
+fn score(
+    views: &Views,
+    background: [f32; 3],
+    training: &mut Training,
+    mesh: &Mesh,
+    judges: &[usize],
+) -> Result<(Vec<Score>, f64), TrainError> {
+    let mut scores = vec![Score::default(); mesh.triangles().len()];
+    let mut last_view = vec![0; scores.len()];
+    let (mut view, mut seen) = (0, 0.0);
+    views.compare(training, judges, background, |training, camera, errors| {
+        view += 1;
+        for (front, error) in training.front_triangles(camera)?.into_iter().zip(errors) {
+            // Masked-out pixels have no error, and triangles that only such pixels show count as unseen: nothing
+            // would teach their texels.
+            if error[0] + error[1] == 0.0 {
+                continue;
             }
-            Ok(())
-        })?;
-        Ok((scores, seen))
-    }
+            seen += 1.0;
+            let Some(face) = (front as usize).checked_sub(1) else { continue };
+            let score = &mut scores[face];
+            score.errors = [0, 1].map(|k| score.errors[k] + f64::from(error[k]));
+            score.pixels += 1.0;
+            score.views += u32::from(std::mem::replace(&mut last_view[face], view) != view);
+        }
+        Ok(())
+    })?;
+    Ok((scores, seen))
 }
 
 impl Score {

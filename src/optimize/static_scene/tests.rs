@@ -1,3 +1,5 @@
+use glam::Vec3;
+
 use super::*;
 use crate::{
     capture::{self, Downscale, LoadOptions},
@@ -74,9 +76,10 @@ fn with_mesh<T>(
     let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
     let mut run = Run::new(&capture, options, &source, session).unwrap();
-    let mesh = run.given(surface, None).unwrap();
-    let splats = run.initial_splats(&[], true).unwrap();
-    let scene = HybridScene { splats, meshes: vec![mesh], composition: run.composition() };
+    let mesh = start::mesh(&run.setup, surface, None).unwrap();
+    let mesh = unseen::without_unseen(&run.setup, &run.views, mesh).unwrap();
+    let splats = start::splats(&run.setup, &run.views, &[], true).unwrap();
+    let scene = HybridScene { splats, meshes: vec![mesh], composition: run.setup.composition() };
     let mut training = run.training(&scene).unwrap();
     test(&mut run, &mut training, &scene)
 }

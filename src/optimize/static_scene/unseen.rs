@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::Run;
+use super::{masks::Masks, setup::Setup, views::Views};
 use crate::{
     geometry::{self, TexelSight, TexelVisibility, Viewers},
     optimize::{TrainError, resolution::ResolutionSchedule},
@@ -17,51 +17,53 @@ const RIM: usize = 2;
 /// Opacity logit of unseen texels: the least that maps have (`adam_texels.wgsl`).
 pub(super) const TRANSPARENT: f32 = -6.0;
 
-impl Run<'_> {
-    /// The mesh with those texels of charts and their borders made transparent that do not contribute to any pixel of
-    /// the training views: training would leave them as they were made. Other texels between charts stay as they are:
-    /// nobody sees them, and mip levels mix them with the borders of what is seen.
-    ///
-    /// # Errors
-    /// If the training views see nothing of the mesh, or a photograph cannot be read.
-    pub(super) fn without_unseen(&self, mesh: Mesh) -> Result<Mesh, TrainError> {
-        let base = mesh.atlas().base();
-        let [width, height] = [base.width() as usize, base.height() as usize];
-        let halvings = (0..16).find(|n| width.max(height) >> n <= LONGEST_SIDE).unwrap_or(16);
-        let sights = self.texel_visibility(&mesh, [width, height].map(|side| (side >> halvings).max(1)))?;
-        if !sights.texels.iter().any(|texel| matches!(texel, TexelSight::Seen(_))) {
-            return Err(TrainError::UnseenMesh);
+/// The mesh with those texels of charts and their borders made transparent that do not contribute to any pixel of the
+/// training views: training would leave them as they were made. Other texels between charts stay as they are: nobody
+/// sees them, and mip levels mix them with the borders of what is seen.
+///
+/// # Errors
+/// If the training views see nothing of the mesh, or a photograph cannot be read.
+pub(super) fn without_unseen(setup: &Setup, views: &Views, mesh: Mesh) -> Result<Mesh, TrainError> {
+    let base = mesh.atlas().base();
+    let [width, height] = [base.width() as usize, base.height() as usize];
+    let halvings = (0..16).find(|n| width.max(height) >> n <= LONGEST_SIDE).unwrap_or(16);
+    let sights = texel_visibility(setup, views, &mesh, [width, height].map(|side| (side >> halvings).max(1)))?;
+    if !sights.texels.iter().any(|texel| matches!(texel, TexelSight::Seen(_))) {
+        return Err(TrainError::UnseenMesh);
+    }
+    let coarsest = base.mip_levels().saturating_sub(1 + halvings);
+    let reached = sights.reached(coarser(setup), coarsest as u8);
+    let hidden = hidden(&sights, &reached, (RIM >> halvings).max(1));
+    let [columns, rows] = sights.size;
+    let mut texels = base.texels().to_vec();
+    for (i, texel) in texels.chunks_exact_mut(4).enumerate() {
+        let [x, y] = [i % width, i / width].map(|at| at >> halvings);
+        if hidden[y.min(rows - 1) * columns + x.min(columns - 1)] {
+            texel[3] = TRANSPARENT;
         }
-        let coarsest = base.mip_levels().saturating_sub(1 + halvings);
-        let reached = sights.reached(self.coarser(), coarsest as u8);
-        let hidden = hidden(&sights, &reached, (RIM >> halvings).max(1));
-        let [columns, rows] = sights.size;
-        let mut texels = base.texels().to_vec();
-        for (i, texel) in texels.chunks_exact_mut(4).enumerate() {
-            let [x, y] = [i % width, i / width].map(|at| at >> halvings);
-            if hidden[y.min(rows - 1) * columns + x.min(columns - 1)] {
-                texel[3] = TRANSPARENT;
-            }
-        }
-        let base = Texture::new(base.width(), base.height(), base.channels(), texels)?;
-        let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
-        Ok(mesh.with_atlas(atlas))
     }
+    let base = Texture::new(base.width(), base.height(), base.channels(), texels)?;
+    let atlas = Atlas::new(base, mesh.atlas().bands().cloned())?;
+    Ok(mesh.with_atlas(atlas))
+}
 
-    /// Number of mip levels by which the smallest pictures of the run read coarser than full-size ones.
-    pub(super) fn coarser(&self) -> u8 {
-        let first = ResolutionSchedule { full_from: u32::from(self.options.coarse_to_fine) };
-        -first.scale(0, self.longest_side).log2().floor() as u8
-    }
+/// Number of mip levels by which the smallest pictures of the run read coarser than full-size ones.
+pub(super) fn coarser(setup: &Setup) -> u8 {
+    let first = ResolutionSchedule { full_from: u32::from(setup.options.coarse_to_fine) };
+    -first.scale(0, setup.scales.longest_side).log2().floor() as u8
+}
 
-    /// Visibility, from the training views, of the texels of a map of `size` (width, height), if there is no other
-    /// mesh.
-    pub(super) fn texel_visibility(&self, mesh: &Mesh, size: [usize; 2]) -> Result<TexelVisibility, TrainError> {
-        let masks = self.masks()?;
-        let shows = |view: usize, at: DVec2| masks.show(view, at);
-        let viewers = Viewers { shows: &shows, ..self.viewers() };
-        Ok(geometry::texel_visibility(mesh, size, &self.hierarchy(std::slice::from_ref(mesh)), &viewers)?)
-    }
+/// Visibility, from the training views, of the texels of a map of `size` (width, height), if there is no other mesh.
+pub(super) fn texel_visibility(
+    setup: &Setup,
+    views: &Views,
+    mesh: &Mesh,
+    size: [usize; 2],
+) -> Result<TexelVisibility, TrainError> {
+    let masks = Masks::of(&views.photos, &setup.train)?;
+    let shows = |view: usize, at: DVec2| masks.show(view, at);
+    let viewers = Viewers { shows: &shows, ..setup.viewers(&views.train_cameras) };
+    Ok(geometry::texel_visibility(mesh, size, &setup.hierarchy(std::slice::from_ref(mesh)), &viewers)?)
 }
 
 /// Chart texels that are neither seen nor reached by filtering, and unreached texels between charts within `rim` of

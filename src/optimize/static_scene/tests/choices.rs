@@ -1,7 +1,7 @@
 //! Training options that no other test sets.
 
 use super::*;
-use crate::render::gpu::Renderer;
+use crate::{optimize::Background, render::gpu::Renderer, scene::Composition};
 
 /// Rendered in front of another background than its own, black opaque content has to hide the background, and
 /// transparent content must not.
@@ -51,7 +51,7 @@ fn which_parameters_a_step_moves_is_a_choice() {
 fn a_short_warm_up_leaves_the_rates_after_it() {
     let rates = |warmup: u32| {
         let options = TrainOptions { iterations: 7000, warmup, ..options() };
-        [None, Some((0, 6000)), Some((6000, 6000))].map(|joint| phase::texel_rate(&options, joint))
+        [None, Some((0, 6000)), Some((6000, 6000))].map(|joint| plan::texel_rate(&options, joint))
     };
     let usual = TrainOptions::warmup_of(7000);
     let [short, as_usual, long] = [100, usual, 2 * usual].map(rates);

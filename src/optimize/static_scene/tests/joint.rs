@@ -37,7 +37,7 @@ fn only_vertices_of_a_found_surface_move_beside_splats() {
         };
         let given = scene.meshes[0].positions().to_vec();
         assert!([Phase::Warmup, Phase::Joint].iter().all(|phase| positions_after(run, *phase) == given));
-        run.identity.finds_surface = true;
+        run.setup.identity.finds_surface = true;
         let warmed = positions_after(run, Phase::Warmup);
         let joint = positions_after(run, Phase::Joint);
         assert!(warmed != given && joint != warmed);
@@ -94,8 +94,8 @@ fn file_shows_what_trainer_showed(options: &TrainOptions) {
         let path = folder.path().join("scene.glb");
         gltf::write_glb(&path, &trained.scene, &[], None).unwrap();
         let read = read_scene(&path).unwrap();
-        let mut renderer = Renderer::new(run.session.gpu, &read, &run.cameras).unwrap();
-        for camera in run.cameras.clone().iter().step_by(6) {
+        let mut renderer = Renderer::new(run.session.gpu, &read, &run.views.cameras).unwrap();
+        for camera in run.views.cameras.clone().iter().step_by(6) {
             let before = training.render(camera, scene.composition.background, Show::All).unwrap();
             let after = renderer.render(camera).unwrap();
             let pairs = before.rgb.as_flattened().iter().zip(after.rgb.as_flattened());

@@ -1,6 +1,6 @@
 //! Values that are not finite are found and named, wherever they are.
 
-use super::*;
+use super::{plan::Plan, *};
 use crate::optimize::{
     density::mcmc::EpochWeight,
     resume::{HostState, Saved},
@@ -62,8 +62,8 @@ fn a_nan_in_a_map_is_found_and_named() {
 fn a_nan_at_a_density_step_is_named_by_its_phase() {
     let options = TrainOptions { iterations: 60, surface_iterations: Some(40), ..options() };
     with_run(&options, |run, training, scene| {
-        run.identity.finds_surface = true;
-        assert_eq!(run.plan(Phase::Joint, 0, true).clock, 40);
+        run.setup.identity.finds_surface = true;
+        assert_eq!(Plan::of(&run.setup, Phase::Joint, 0, true).clock, 40);
         let mut arrays = training.read_splats().unwrap();
         arrays.geometry[12 * 7] = f32::NAN;
         training.write_splats(&arrays).unwrap();
@@ -78,7 +78,7 @@ fn a_nan_at_a_density_step_is_named_by_its_phase() {
 fn no_checkpoint_holds_an_exposure_that_is_no_number() {
     let options = TrainOptions { exposure: true, ..options() };
     with_run(&options, |run, training, scene| {
-        let plan = run.plan(Phase::Joint, 0, true);
+        let plan = Plan::of(&run.setup, Phase::Joint, 0, true);
         let saved = |training: &Training| {
             let (found, past) = (run.found.clone(), run.log.past.clone());
             let epoch = &EpochWeight::default();

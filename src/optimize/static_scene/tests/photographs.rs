@@ -81,7 +81,7 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
         let (options, stop) = (options(), AtomicBool::new(false));
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
-        assert_eq!((run.photos.are_cut_out, run.shell.is_none()), (is_cut_out, is_cut_out), "{k1} {opacity}");
+        assert_eq!([run.views.photos.are_cut_out, run.setup.shell.is_none()], [is_cut_out; 2], "{k1} {opacity}");
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    geometry::{self, Viewers},
+    geometry::{self, MeshBvh, Viewers},
     scene::{Atlas, Texture},
 };
 
@@ -27,7 +27,7 @@ fn what_ended_faint_is_dropped_after_training() {
         for (hands_over, outcome, left) in
             [(true, Outcome::Finished, 2), (true, Outcome::Interrupted, 4), (false, Outcome::Finished, 4)]
         {
-            run.identity.finds_surface = hands_over;
+            run.setup.identity.finds_surface = hands_over;
             let trained = run.finish(&mut training, &scene, outcome).unwrap();
             assert_eq!(trained.faint_triangles, 4 - left);
             let [found] = trained.scene.meshes.try_into().unwrap();
@@ -62,7 +62,7 @@ fn what_ended_behind_what_is_opaque_is_dropped_after_training() {
         }
         arrays.opacity_logits.fill(2.0);
         let scene = HybridScene { splats: arrays.check().unwrap(), meshes: vec![mesh], ..scene.clone() };
-        let viewers = Viewers { cameras: &run.train_cameras, near: 0.1, layers: 1, shows: &|_, _| true };
+        let viewers = Viewers { cameras: &run.views.train_cameras, near: 0.1, layers: 1, shows: &|_, _| true };
         let by_rays =
             geometry::occluded_splats(&scene.splats, (&scene.meshes, &MeshBvh::of(&scene.meshes)), 0.02, &viewers);
         assert!(by_rays[..2] == [true; 2] && !by_rays[2..].contains(&true));

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::*;
-use crate::scene::Intrinsics;
+use crate::{optimize::size, scene::Intrinsics};
 
 #[test]
 fn units_follow_what_is_seen() {

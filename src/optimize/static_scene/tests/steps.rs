@@ -2,7 +2,7 @@
 
 use super::{plan::Plan, *};
 use crate::{
-    optimize::schedule,
+    optimize::{Background, schedule},
     render::gpu::{
         exposure::ExposureStep,
         loss::{LossValues, TruthAlpha},
@@ -36,8 +36,8 @@ impl Stand {
         let stop = AtomicBool::new(false);
         let session = Session { gpu: &self.gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let mut run = Run::new(&self.capture, options, source, session).unwrap();
-        assert_eq!(run.train, [1, 2, 3]);
-        (run.unit, run.extent, run.distance) = (UNIT, EXTENT, DISTANCE);
+        assert_eq!(run.setup.train, [1, 2, 3]);
+        run.setup.scales = Scales { unit: UNIT, extent: EXTENT, distance: DISTANCE, ..run.setup.scales };
         look(&run)
     }
 
@@ -51,7 +51,7 @@ impl Stand {
     ) -> T {
         self.run(options, source, |run| {
             let has_mesh = phase != Phase::Surface && *source != MeshSource::None;
-            let plan = run.plan(phase, 0, has_mesh);
+            let plan = Plan::of(&run.setup, phase, 0, has_mesh);
             of_view(run, &plan, t, |step| look(run, &plan, step))
         })
     }
@@ -59,9 +59,9 @@ impl Stand {
 
 /// Step `t` of a plan with the second view.
 fn of_view<T>(run: &Run, plan: &Plan, t: u32, look: impl FnOnce(&Step) -> T) -> T {
-    let view = run.train[1];
-    let (photo, camera) = (run.photos.of_step(view, view).unwrap(), run.cameras[view]);
-    look(&run.step_on(plan, t, SPLATS, view, &camera, &photo))
+    let view = run.setup.train[1];
+    let (photo, camera) = (run.views.photos.of_step(view, view).unwrap(), run.views.cameras[view]);
+    look(&plan.step_on(&run.setup, t, SPLATS, view, &camera, &photo))
 }
 
 /// Options for a tenth of a full run: a further SH degree every hundred iterations, and an opacity reset after a
@@ -105,7 +105,7 @@ fn every_phase_counts_its_own_steps() {
             let found = [step.splats.map(|s| s.number), step.texels.map(|s| s.number), step.vertices.map(|s| s.number)];
             assert_eq!((found, [step.sh_degree, step.band_degree]), (numbers, degrees), "{case}");
             assert_eq!((step.truth_alpha, step.kept_as), (TruthAlpha::Ignore, Some(2)), "{case}");
-            assert!(*step.camera == run.cameras[2] && step.truth.len() == 4 * 32 * 32, "{case}");
+            assert!(*step.camera == run.views.cameras[2] && step.truth.len() == 4 * 32 * 32, "{case}");
             let age = plan.clock + t;
             if let Some(splats) = step.splats {
                 assert_eq!((splats.n_splats, splats.sh_degree), (SPLATS, step.sh_degree), "{case}");
@@ -114,7 +114,7 @@ fn every_phase_counts_its_own_steps() {
             }
             if let Some(texels) = step.texels {
                 let joint = (phase == Joint).then_some((t, plan.iterations));
-                assert_eq!(texels.base_rate, phase::texel_rate(&options, joint), "{case}");
+                assert_eq!(texels.base_rate, plan::texel_rate(&options, joint), "{case}");
                 assert_near(texels.band_rate, 0.2 * f64::from(texels.base_rate));
             }
             if let Some(vertices) = step.vertices {
@@ -206,7 +206,7 @@ fn opacities_of_maps_are_held_after_those_of_splats_were_reset() {
         let options = TrainOptions { density, warmup: 9000, ..tenth() };
         stand.run(&options, &square(), |run| {
             let holds = |phase: Phase, clock: u32, t: u32| {
-                let plan = Plan { clock, ..run.plan(phase, 0, true) };
+                let plan = Plan { clock, ..Plan::of(&run.setup, phase, 0, true) };
                 of_view(run, &plan, t, |step| step.texels.unwrap().holds_opacity)
             };
             for clock in [0, 400] {
@@ -224,7 +224,7 @@ fn opacities_of_maps_are_held_after_those_of_splats_were_reset() {
 fn the_weight_of_ssim_is_that_of_the_option() {
     let options = TrainOptions { ssim_weight: 0.7, ..options() };
     with_run(&options, |run, training, scene| {
-        let plan = run.plan(Phase::Joint, 0, true);
+        let plan = Plan::of(&run.setup, Phase::Joint, 0, true);
         let learnt = |training: &mut Training| {
             run.step(training, &plan, 0).unwrap();
             while training.grow_if_short().unwrap() > 0 {
@@ -232,7 +232,7 @@ fn the_weight_of_ssim_is_that_of_the_option() {
             }
             training.read_splats().unwrap().sh_m
         };
-        let of = |weight: f32| learnt(&mut Training::new(run.session.gpu, scene, &run.cameras, weight).unwrap());
+        let of = |weight: f32| learnt(&mut Training::new(run.session.gpu, scene, &run.views.cameras, weight).unwrap());
         let (expected, other, found) = (of(0.7), of(0.2), learnt(training));
         assert!(found == expected && found != other);
 

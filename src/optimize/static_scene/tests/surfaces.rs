@@ -14,13 +14,14 @@ fn without_points_splats_say_whether_there_are_bounds() {
     let options = TrainOptions { shell: false, ..options() };
     let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
-    let near = run.initial_splats(&[], true).unwrap();
+    let near = start::splats(&run.setup, &run.views, &[], true).unwrap();
     for (distance, is_unbounded) in [(1.0, false), (100.0, true)] {
         let mut splats = near.clone().into_arrays();
         splats.means.iter_mut().for_each(|mean| *mean *= distance);
-        let scene = HybridScene { splats: splats.check().unwrap(), meshes: vec![], composition: run.composition() };
+        let scene =
+            HybridScene { splats: splats.check().unwrap(), meshes: vec![], composition: run.setup.composition() };
         let training = run.training(&scene).unwrap();
-        assert_eq!(run.charts_in(&training).unwrap().is_some(), is_unbounded);
+        assert_eq!(finding::charts_in(&run.setup, &run.views, &training).unwrap().is_some(), is_unbounded);
     }
 }
 

@@ -4,7 +4,7 @@ use glam::{DVec2, Vec2};
 
 use super::*;
 use crate::{
-    geometry::{self, TexelSight},
+    geometry::{self, MeshBvh, TexelSight},
     render::gpu::training::Show,
     scene::Texture,
 };
@@ -53,7 +53,8 @@ fn what_no_view_sees_of_a_given_mesh_is_transparent() {
 #[test]
 fn growing_pictures_read_coarser_levels_at_first() {
     for (coarse_to_fine, levels) in [(false, 0), (true, 1)] {
-        with_run(&TrainOptions { coarse_to_fine, ..options() }, |run, _, _| assert_eq!(run.coarser(), levels));
+        let options = TrainOptions { coarse_to_fine, ..options() };
+        with_run(&options, |run, _, _| assert_eq!(unseen::coarser(&run.setup), levels));
     }
 }
 
@@ -86,11 +87,11 @@ fn rays_reach_what_the_renderer_shows() {
         let options = TrainOptions { warmup: 84, texture_size: Some(256), layers, ..options() };
         with_mesh(balls(), &options, |run, training, scene| {
             let mesh = &scene.meshes[0];
-            let sights = run.texel_visibility(mesh, [256; 2]).unwrap();
+            let sights = unseen::texel_visibility(&run.setup, &run.views, mesh, [256; 2]).unwrap();
             let reached = sights.reached(0, u8::MAX);
             let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
             let (mut pixels, mut off_center, mut missed) = (0, 0, 0);
-            for camera in run.train_cameras.clone() {
+            for camera in run.views.train_cameras.clone() {
                 training.render(&camera, [0.0; 3], Show::MeshesAlone).unwrap();
                 let width = camera.intrinsics().width;
                 for (pixel, front) in (0u32..).zip(training.front_triangles(&camera).unwrap()) {
