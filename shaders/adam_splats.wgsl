@@ -52,8 +52,8 @@ fn adam(i: u32, value: vec4f, g: vec4f, rates: vec4f) -> vec4f {
 // Three independent normal numbers (Box–Muller).
 fn normal(splat: u32) -> vec3f {
     let r = unit_numbers(random_words(vec4u(splat, step.number, step.seed, 0u)));
-    // The logarithm is taken of numbers in (0, 1].
-    let radius = sqrt(-2.0 * log(vec2f(1.0) - r.xy));
+    // The logarithm is taken of numbers in (0, 1]; near 1 its error may make it positive.
+    let radius = sqrt(max(-2.0 * log(vec2f(1.0) - r.xy), vec2f(0.0)));
     let angle = 6.2831853 * r.zw;
     return vec3f(radius.x * cos(angle.x), radius.x * sin(angle.x), radius.y * cos(angle.y));
 }

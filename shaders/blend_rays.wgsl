@@ -6,6 +6,7 @@
 // peak can have, so that a search ends once that is beyond the farthest peak kept. About 40 flops per (splat, pixel,
 // search).
 //#import shared/view.wgsl
+//#import shared/finite.wgsl
 //#import shared/blend.wgsl
 //#import shared/sh.wgsl
 //#import shared/layered.wgsl
@@ -38,8 +39,9 @@ fn peak(i: u32, at: vec2f) -> Peak {
     let inverse = 1.0 / dot(ray, ray);
     let depth = u.w * dot(a.xyz, ray) * inverse;
     let alpha = projected[3u * i].w * exp(-0.5 * dot(across, across) * inverse);
-    // Written so that NaN fails.
-    if alpha >= ALPHA_CUT && depth > view.near { return Peak(depth, min(alpha, ALPHA_CAP)); }
+    // Tested by bits, as a compiler may assume that comparisons never see NaN.
+    let finite = are_finite(vec4f(alpha, depth, 0.0, 0.0));
+    if finite && alpha >= ALPHA_CUT && depth > view.near { return Peak(depth, min(alpha, ALPHA_CAP)); }
     return Peak(0.0, 0.0);
 }
 

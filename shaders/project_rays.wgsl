@@ -5,6 +5,7 @@
 // y − s_y z, z), where s is the mean's slope, that outline is the ellipse around ρ²Σ'_·z / (ρ²Σ'_zz − z²) with the
 // matrix ρ²/h (Σ' + ρ² Σ'_·z Σ'_z· / h), h = z² − ρ²Σ'_zz: the dual conic ρ²Σ − m mᵀ, shifted so that nothing cancels.
 //#import shared/view.wgsl
+//#import shared/finite.wgsl
 //#import shared/blend.wgsl
 //#import shared/projection.wgsl
 //#import shared/tile_rows.wgsl
@@ -34,6 +35,8 @@ fn main(
     visible[i] = 0u;
     let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
     let t = to_camera(view, g.mean);
+    // Tested by bits, as a compiler may assume that comparisons never see NaN.
+    if !are_finite(vec4f(t, g.opacity)) || !are_finite(g.quaternion) || !are_finite(vec4f(g.scale, 0.0)) { return; }
     if !(t.z > view.near) || !(g.opacity >= ALPHA_CUT) { return; }
     let slope = t.xy / t.z;
     let x = view.row_x.xyz; let y = view.row_y.xyz; let z = view.row_z.xyz;
@@ -57,8 +60,10 @@ fn main(
     let mean = view.focal * slope + view.principal;
     var center = mean - k * shear;
     let reach = max(outline.x, outline.z);
-    // The ellipsoid reaches the camera's plane or past it: for the lists it is visible everywhere.
-    if !(h > 1e-3 * t.z * t.z) || !(reach < 1e12) || !(max(abs(center.x), abs(center.y)) < 1e7) {
+    // The ellipsoid reaches the camera's plane or past it, or is too large for f32: for the lists it is visible
+    // everywhere.
+    let overflows = !are_finite(vec4f(outline, h)) || !are_finite(vec4f(center, det, 0.0));
+    if overflows || !(h > 1e-3 * t.z * t.z) || !(reach < 1e12) || !(max(abs(center.x), abs(center.y)) < 1e7) {
         let side = 2.0 * f32(max(view.size.x, view.size.y));
         outline = vec3f(side * side, 0.0, side * side);
         det = outline.x * outline.z;

@@ -33,11 +33,12 @@ fn main(
         p.opacity /= 1.0 - view.dropout;
     }
     // Tested by bits, as a compiler may assume that comparisons never see NaN.
-    if !are_finite(vec4f(p.center, p.det, p.t.z)) { return; }
+    if !are_finite(vec4f(p.center, p.det, p.t.z)) || !is_finite(p.opacity) { return; }
     if !(p.t.z > view.near) || !(p.opacity >= ALPHA_CUT) { return; }
     // Without a filter a splat seen edge-on has no area, and what follows would overflow.
     if !(p.det > 1e-20) { return; }
     let e = ellipse(p.center, p.squares, p.opacity);
+    if !are_finite(vec4f(e.extent, 0.0, 0.0)) { return; }
     if !(max(e.extent.x, e.extent.y) < 1e6) || !(max(abs(p.center.x), abs(p.center.y)) < 1e7) { return; }
     let rows = row_span(e, view.tiles);
     var count = 0u;

@@ -33,6 +33,7 @@ var<workgroup> digit_counts: array<atomic<u32>, DIGITS>;
 var<workgroup> words: array<u32, BLOCK + BLOCK / 32u>;  // by `spread`: counters [half of a digit mod 8][thread], or one
                                                         // word per pair
 var<workgroup> digit_base: array<u32, DIGITS>;
+var<workgroup> shared_count: u32;
 
 fn item_count() -> u32 {
     return min(counts[COUNT_WORD], arrayLength(&keys_in));
@@ -94,9 +95,12 @@ fn scan(
     @builtin(workgroup_id) group: vec3u,
     @builtin(local_invocation_index) thread: u32,
 ) {
+    // Loaded uniformly: there are barriers in the loop, and not every compiler sees that all threads read the same
+    // value.
+    if thread == 0u { shared_count = item_count(); }
+    let n_blocks = block_count(workgroupUniformLoad(&shared_count));
     let digit = group_index(group);
     if digit > digit_bits.mask { return; }
-    let n_blocks = block_count(item_count());
     let first = of_block(digit, 0u, n_blocks);
     var carry = 0u;
     for (var base = 0u; base < n_blocks; base += 2048u) {

@@ -3,6 +3,7 @@
 // Reads 16 bytes of indices and 36 of positions, writes 48 + 8 bytes. About 90 flops.
 
 //#import shared/view.wgsl
+//#import shared/finite.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> positions: array<f32>;         // [V, 3], world
@@ -65,6 +66,8 @@ fn setup(
     corners[3u * i + 2u] = vec4f(c, direction(world[0], world[1]));
 
     boxes[i] = NOWHERE;
+    // Tested by bits, as a compiler may assume that comparisons never see NaN.
+    if !(are_finite(vec4f(a, 0.0)) && are_finite(vec4f(b, 0.0)) && are_finite(vec4f(c, 0.0))) { return; }
     if max(a.z, max(b.z, c.z)) <= view.near { return; }
     var box = Box(vec2f(3e38), vec2f(-3e38));
     box = include_edge(box, a, b);

@@ -11,7 +11,8 @@ struct Ellipse {
 }
 
 fn ellipse(center: vec2f, squares: vec3f, opacity: f32) -> Ellipse {
-    let level = 2.0 * log(max(255.0 * opacity, 1.0));
+    // The logarithm of 1 may come out below 0.
+    let level = max(2.0 * log(max(255.0 * opacity, 1.0)), 0.0);
     let variance = 1.0 / squares.xz;    // along x, and along a column
     return Ellipse(center, squares, level, sqrt(level * vec2f(variance.x, variance.y + squares.y * squares.y * variance.x)));
 }

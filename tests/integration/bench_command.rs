@@ -8,6 +8,7 @@ use std::process::{Command, Output, Stdio};
 
 #[cfg(target_os = "linux")]
 use crate::common;
+#[cfg(target_os = "linux")]
 use centaur::optimize::checkpoint::Checkpoint;
 
 const COARSE: &str = "--max-side 48 --iterations 20 --surface-iterations 10 --warmup 10 --triangles 500 --texture-size 64 --max-splats 2000";

@@ -97,6 +97,7 @@ impl Backward {
     /// Appends the whole pass, from the image gradient to parameter gradients.
     pub(crate) fn record(&self, frame: &mut Frame, pipeline: &Pipeline, view: &View) {
         self.record_blend(frame, view);
+        frame.split();
         frame.dispatch_threads(&self.of_splats, view.n_splats as usize);
         if let Some(mesh) = &pipeline.front.mesh {
             mesh.record_backward(frame);

@@ -204,8 +204,34 @@ fn layers_to_order_by(mesh: Option<&MeshStage>, purpose: Purpose) -> Option<(&Bu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::contract::ShDirection;
+    use crate::render::gpu::geometry::{GEOMETRY_FLOATS, OPACITY};
     use crate::render::testing::smooth_scene;
     use crate::scene::OrderMode;
+
+    /// Whatever a compiler makes of comparisons with them.
+    #[test]
+    fn splats_that_are_not_numbers_are_in_no_list() {
+        let gpu = Gpu::open(None).unwrap();
+        let (scene, camera) = smooth_scene(1, 2, OrderMode::Stable);
+        assert_eq!(scene.splats.len(), 5);
+        for model in [ImageModel::Ewa, ImageModel::Ray(ShDirection::Mean)] {
+            let mut front = Front::new(&gpu, &scene, 0, &[camera], Purpose::Render(model), None).unwrap();
+            let view = front.prepare(&gpu, &camera).unwrap();
+            let listed = || {
+                let mut frame = Frame::new(&gpu);
+                front.record(&gpu, &mut frame, &view);
+                frame.submit();
+                (gpu.read::<u32>(&front.lists.visible, 5).unwrap(), front.lists.read_counts(&gpu).unwrap().0)
+            };
+            assert_eq!(listed(), (vec![1; 5], 5), "{model:?}");
+            // A part of a mean, of a quaternion, of a scale, and an opacity.
+            for (splat, column) in [0, 6, 9, OPACITY].into_iter().enumerate() {
+                gpu.write(&front.splats.geometry, 4 * (splat * GEOMETRY_FLOATS + column) as u64, &[f32::NAN]);
+            }
+            assert_eq!(listed(), (vec![0, 0, 0, 0, 1], 1), "{model:?}");
+        }
+    }
 
     #[test]
     fn every_replacement_makes_another_generation() {

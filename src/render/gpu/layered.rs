@@ -60,7 +60,7 @@ impl LayeredPicture {
 
 /// Renderer of a scene's pictures in parts.
 ///
-/// Needs the memory of [`super::Renderer`] and 48 bytes more per pixel (64 on a software adapter); under
+/// Needs the memory of [`super::Renderer`] and 48 bytes more per pixel (64 on Mesa's software adapter); under
 /// [`ImageModel::Ray`] 80 more per splat, and 4 less per splat and mesh layer.
 pub struct LayeredRenderer<'g> {
     gpu: &'g Gpu,
@@ -93,7 +93,7 @@ impl<'g> LayeredRenderer<'g> {
     /// Renders one picture and waits for it.
     ///
     /// # Errors
-    /// If the image is larger than announced, the driver fails, the adapter runs short of memory or, on a software
+    /// If the image is larger than announced, the driver fails, the adapter runs short of memory or, on Mesa's software
     /// adapter, a tile has more splats than it can process.
     pub fn render(&mut self, camera: &Camera) -> Result<LayeredPicture, GpuError> {
         self.front.image.check(camera)?;
@@ -132,6 +132,7 @@ impl<'g> LayeredRenderer<'g> {
         let mut frame = Frame::new(self.gpu);
         self.progress.iter().for_each(|progress| frame.clear(progress));
         self.front.record(self.gpu, &mut frame, &view);
+        frame.split();
         frame.dispatch(&self.blend, view.n_tiles());
         frame.submit();
         Ok(())

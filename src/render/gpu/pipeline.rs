@@ -48,6 +48,7 @@ impl Pipeline {
     pub(crate) fn record(&self, gpu: &Gpu, frame: &mut Frame, view: &View) {
         debug_assert_eq!(self.bound_to, self.front.generation(), "frames are prepared");
         self.front.record(gpu, frame, view);
+        frame.split();
         self.blend.record(frame, view.n_tiles());
     }
 
@@ -128,6 +129,7 @@ impl Pipeline {
         let blend = Stage::new(gpu, "blend_depth.wgsl", "main", &gpu.defines(), &buffers);
         let mut frame = Frame::new(gpu);
         self.front.record(gpu, &mut frame, view);
+        frame.split();
         frame.dispatch(&blend, view.n_tiles());
         frame.submit();
         Ok(depth)

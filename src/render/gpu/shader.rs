@@ -37,6 +37,7 @@ embed![
     "compact_visible.wgsl",
     "dispatch_sizes.wgsl",
     "emit_pairs.wgsl",
+    "epoch.wgsl",
     "exposure.wgsl",
     "filter_splats.wgsl",
     "gather_counts.wgsl",

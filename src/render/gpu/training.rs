@@ -197,6 +197,7 @@ impl<'g> Training<'g> {
         if let Some((exposures, exposed)) = exposure {
             exposures.record(self.gpu, &mut frame, &view, &exposed, step.truth_alpha);
         }
+        frame.split();
         self.backward.record(&mut frame, &self.pipeline, &view);
         if let (Some(_), Some(mesh)) = (&step.vertices, &self.pipeline.front.mesh) {
             mesh.record_vertex_backward(&mut frame);

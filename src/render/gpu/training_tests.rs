@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
-    exposure::ExposureStep,
+    exposure::{ExposureState, ExposureStep},
     geometry::{GEOMETRY_FLOATS, OPACITY},
     loss::TruthAlpha,
     pose::{PoseState, PoseStep},
@@ -231,6 +231,34 @@ fn folded_steps_learn_the_same() {
     let (plain, folded) = (Gpu::open(None).unwrap(), Gpu::open(None).unwrap().narrowed(7));
     let [expected, found] = [&plain, &folded].map(|gpu| first_moments(&stepped(gpu, &scene, &[camera], &camera)));
     assert!(found.iter().any(|m| *m != 0.0) && found == expected);
+}
+
+/// Frames are submitted in parts where systems end long ones.
+#[test]
+fn steps_in_parts_learn_the_same() {
+    let (scene, camera) = testing::random_scene(34, 2000, 2, 2, 2, OrderMode::Stable);
+    let [whole, parts] = [false, true].map(|splits| {
+        let gpu = Gpu::open(None).unwrap().splitting_frames(splits);
+        let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+        training.refine_poses(&PoseState::new(1)).unwrap();
+        training.expose(&ExposureState::new(1)).unwrap();
+        training.free_vertices(&scene.meshes, &VertexState::new(&scene.meshes, 1e-3)).unwrap();
+        for _ in 0..2 {
+            step(&mut training, &camera);
+            while training.grow_if_short().unwrap() > 0 {
+                step(&mut training, &camera);
+            }
+        }
+        let learnt = learnt(&training, &scene.meshes);
+        let picture = training.render(&camera, [0.0; 3], Show::All).unwrap();
+        training.profile();
+        step(&mut training, &camera);
+        let kernels: Vec<String> = training.seconds().unwrap().into_iter().map(|(kernel, _)| kernel).collect();
+        (learnt, picture, kernels, gpu.passes())
+    });
+    assert!(whole.0.0.geometry_m.iter().any(|m| *m != 0.0));
+    assert!(parts.0 == whole.0 && parts.1 == whole.1 && parts.2 == whole.2);
+    assert!(parts.3 > whole.3, "{} passes, {} in parts", whole.3, parts.3);
 }
 
 /// Two of three photographs stay on the adapter.

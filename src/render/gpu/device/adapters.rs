@@ -50,7 +50,10 @@ fn instance() -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     // Indirect counts are written by our own kernels and bounded there; wgpu's extra validation pass is not needed.
-    descriptor.flags = wgpu::InstanceFlags::empty();
+    // `WGPU_…` in the environment sets flags all the same, such as WGPU_ALLOW_UNDERLYING_NONCOMPLIANT_ADAPTER, and
+    // Direct3D's compiler.
+    descriptor.flags = wgpu::InstanceFlags::empty().with_env();
+    descriptor.backend_options = descriptor.backend_options.with_env();
     wgpu::Instance::new(descriptor)
 }
 
@@ -60,14 +63,27 @@ const STORAGE_BUFFERS: u32 = 12;
 /// limit.
 const WORKGROUP_BYTES: u32 = 16384;
 
-/// Threads of the largest workgroups.
+/// Threads of the largest workgroups, which all have one dimension.
 const WORKGROUP_THREADS: u32 = 256;
+/// Uniform buffers needed: those of the kernels that bind most (such as `loss.wgsl`).
+const UNIFORM_BUFFERS: u32 = 2;
+
+/// Passes of loops after which Mesa's software adapter ends them (`LP_MAX_TGSI_LOOP_ITERATIONS`; in a loop with
+/// `continue` each counts twice).
+pub(super) const LOOP_PASSES: usize = 65_535;
+
+/// Limit on the passes of all loops of a thread together, if the adapter of this name has one: of software adapters
+/// Mesa's alone.
+pub(super) fn loop_passes(name: &str, is_cpu: bool) -> Option<usize> {
+    (is_cpu && name.contains("llvmpipe")).then_some(LOOP_PASSES)
+}
 
 /// Description of what an adapter lacks for the kernels, if anything.
 fn lack(limits: &wgpu::Limits) -> Option<String> {
     let needed = [
         (limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS, "storage buffers per shader stage"),
         (limits.max_compute_invocations_per_workgroup, WORKGROUP_THREADS, "threads in a workgroup"),
+        (limits.max_compute_workgroup_size_x, WORKGROUP_THREADS, "threads in a row of a workgroup"),
         (limits.max_compute_workgroup_storage_size, WORKGROUP_BYTES, "bytes of workgroup memory"),
     ];
     let (found, expected, what) = needed.into_iter().find(|(found, expected, _)| found < expected)?;
@@ -79,7 +95,12 @@ fn lack(limits: &wgpu::Limits) -> Option<String> {
 pub(super) fn wanted_limits(of: &wgpu::Adapter) -> wgpu::Limits {
     wgpu::Limits {
         max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
+        max_uniform_buffers_per_shader_stage: UNIFORM_BUFFERS,
         max_compute_workgroup_storage_size: WORKGROUP_BYTES,
+        max_compute_invocations_per_workgroup: WORKGROUP_THREADS,
+        max_compute_workgroup_size_x: WORKGROUP_THREADS,
+        max_compute_workgroup_size_y: 1,
+        max_compute_workgroup_size_z: 1,
         ..of.limits()
     }
 }
@@ -202,6 +223,19 @@ mod tests {
             adapter(2, "NVIDIA H100", Some("0001:41:00.0")),
             adapter(3, "llvmpipe (LLVM 15)", None),
         ]
+    }
+
+    #[test]
+    fn loops_end_on_mesas_software_adapter_alone() {
+        assert_eq!(loop_passes("llvmpipe (LLVM 15.0.6, 256 bits)", true), Some(65_535));
+        for (name, is_cpu) in [
+            ("Microsoft Basic Render Driver", true),
+            ("SwiftShader Device (Subzero)", true),
+            ("NVIDIA H100", false),
+            ("Virtio-GPU Venus (llvmpipe)", false),
+        ] {
+            assert_eq!(loop_passes(name, is_cpu), None, "{name}");
+        }
     }
 
     #[test]

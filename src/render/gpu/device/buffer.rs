@@ -26,6 +26,17 @@ pub(super) struct Allocation {
     memory: Arc<Memory>,
 }
 
+impl Buffer {
+    /// A zeroed storage buffer that no account of memory includes.
+    pub(super) fn uncounted(device: &wgpu::Device, label: &str, size: u64) -> Self {
+        use wgpu::BufferUsages as U;
+        let usage = U::STORAGE | U::COPY_SRC | U::COPY_DST;
+        let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+        let allocation = Allocation { bytes: 0, memory: Arc::default() };
+        Self { raw: device.create_buffer(&descriptor), allocation: Arc::new(allocation) }
+    }
+}
+
 impl Drop for Allocation {
     fn drop(&mut self) {
         self.memory.now.fetch_sub(self.bytes, Ordering::Relaxed);
@@ -141,7 +152,7 @@ impl Gpu {
     pub(super) fn write_in_pieces(&self, buffer: &Buffer, offset: u64, bytes: &[u8], piece: usize) {
         for (i, bytes) in bytes.chunks(piece).enumerate() {
             if i > 0 {
-                self.queue.submit([]);
+                self.submit_writes();
                 // An error here is reported by whatever waits next.
                 let _ = self.polled(|| self.device.poll(wgpu::PollType::wait_indefinitely()));
             }
@@ -152,7 +163,7 @@ impl Gpu {
     /// Waits for everything submitted and copies `count` elements from the start of `buffer`.
     ///
     /// # Errors
-    /// If the driver failed on this or anything before.
+    /// If the driver failed on this or anything before, or aborted a submission.
     pub(crate) fn read<T: bytemuck::Pod>(&self, buffer: &Buffer, count: usize) -> Result<Vec<T>, GpuError> {
         let bytes = count * size_of::<T>();
         self.fetch(&[(buffer, bytes)], |found| bytemuck::pod_collect_to_vec(&found[..bytes]))
@@ -183,14 +194,10 @@ impl Gpu {
             return Ok(take(&[]));
         }
         let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
-        let staging = self.create("read-back", total, usage)?;
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let mut offset = 0;
-        for (buffer, bytes) in parts.iter().filter(|(_, bytes)| *bytes > 0) {
-            encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, offset, padded(*bytes));
-            offset += padded(*bytes);
-        }
-        self.queue.submit([encoder.finish()]);
+        // One more word, for the passes that ran.
+        let staging = self.create("read-back", total + 4, usage)?;
+        let parts = parts.iter().filter(|(_, bytes)| *bytes > 0).map(|(buffer, bytes)| (&buffer.raw, padded(*bytes)));
+        let passes = self.submit_copies(parts, &staging);
         let failed = |reason: String| GpuError::Failed { adapter: self.adapter.clone(), reason };
         let outcome = Arc::new(Mutex::new(None));
         let slot = Arc::clone(&outcome);
@@ -205,6 +212,10 @@ impl Gpu {
             None => return Err(failed("read-back did not finish".to_owned())),
         }
         let view = staging.slice(..).get_mapped_range().map_err(|e| failed(e.to_string()))?;
-        Ok(take(&view[..]))
+        let (found, ran) = view.split_at(total as usize);
+        if ran != passes.to_ne_bytes() {
+            return Err(self.aborted());
+        }
+        Ok(take(found))
     }
 }

@@ -2,12 +2,14 @@
 
 use super::{Buffer, Gpu, GpuError, Stage};
 
-/// Commands that are submitted together.
+/// Commands that are submitted together, or in the parts that [`Self::split`] makes.
 pub(crate) struct Frame<'a> {
     gpu: &'a Gpu,
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
     timer: Option<&'a mut Timer>,
+    /// Passes recorded that the adapter counts (`epoch.rs`): all but those that time a dispatch.
+    counted: u32,
     #[cfg(test)]
     dispatches: usize,
 }
@@ -15,12 +17,12 @@ pub(crate) struct Frame<'a> {
 impl<'a> Frame<'a> {
     /// Starts recording.
     pub(crate) fn new(gpu: &'a Gpu) -> Self {
-        let encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         Self {
             gpu,
-            encoder,
+            encoder: new_encoder(gpu),
             pass: None,
             timer: None,
+            counted: 0,
             #[cfg(test)]
             dispatches: 0,
         }
@@ -67,6 +69,11 @@ impl<'a> Frame<'a> {
             });
             return self.pass.insert(pass.forget_lifetime());
         }
+        self.untimed_pass()
+    }
+
+    /// The open pass, or else a new one that is not timed.
+    fn untimed_pass(&mut self) -> &mut wgpu::ComputePass<'static> {
         let encoder = &mut self.encoder;
         self.pass.get_or_insert_with(|| {
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime()
@@ -96,25 +103,96 @@ impl<'a> Frame<'a> {
 
     /// Fills a buffer with zeros.
     pub(crate) fn clear(&mut self, buffer: &Buffer) {
-        self.pass = None;
+        self.end_pass();
         self.encoder.clear_buffer(&buffer.raw, 0, None);
     }
 
     /// Copies all of a buffer to the start of another that is at least as long.
     pub(crate) fn copy(&mut self, from: &Buffer, to: &Buffer) {
-        self.pass = None;
+        self.end_pass();
         self.encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, from.raw.size());
     }
 
-    /// Hands the commands to the adapter; does not wait.
-    pub(crate) fn submit(mut self) {
+    /// Ends the open pass, if there is one, and has it counted unless it times a dispatch.
+    fn end_pass(&mut self) {
+        if self.pass.is_some() && self.timer.is_none() {
+            self.count_pass();
+        }
+        self.pass = None;
+    }
+
+    /// Appends the kernel that counts the open pass, or a pass of its own, on adapters whose passes are counted.
+    fn count_pass(&mut self) {
+        let gpu = self.gpu;
+        if !gpu.counts_passes {
+            return;
+        }
+        let pass = self.untimed_pass();
+        let stage = gpu.count_pass();
+        stage.encode(pass);
+        pass.dispatch_workgroups(1, 1, 1);
+        self.counted += 1;
+    }
+
+    /// Ends what is to be submitted together, with a pass that is counted, and resolves its times.
+    fn close(&mut self) {
+        if self.timer.is_some() {
+            self.pass = None;
+        }
+        self.count_pass();
         self.pass = None;
         if let Some(timer) = &mut self.timer {
             let count = 2 * timer.labels.len() as u32;
             self.encoder.resolve_query_set(&timer.queries, 0..count, &timer.resolved.raw, 0);
         }
-        self.gpu.queue.submit([self.encoder.finish()]);
     }
+
+    /// Submits the commands so far on adapters where no submission may take long ([`Gpu::splits_frames`]); does nothing
+    /// elsewhere, or with a timer. What is written to buffers from here on is there for the commands that follow alone:
+    /// it must concern none of those before.
+    pub(crate) fn split(&mut self) {
+        if !self.gpu.splits_frames || self.timer.is_some() {
+            return;
+        }
+        self.close();
+        let commands = std::mem::replace(&mut self.encoder, new_encoder(self.gpu)).finish();
+        self.gpu.submit(commands, std::mem::take(&mut self.counted));
+    }
+
+    /// Hands the commands to the adapter; does not wait.
+    pub(crate) fn submit(mut self) {
+        self.close();
+        self.gpu.submit(self.encoder.finish(), self.counted);
+    }
+}
+
+impl Gpu {
+    /// Submits what was written to buffers.
+    pub(super) fn submit_writes(&self) {
+        Frame::new(self).submit();
+    }
+
+    /// Submits copies to `staging`, one behind the other: of this many bytes from the start of each buffer, and of the
+    /// word that is the number of passes that ran. Returns what that is unless a submission was aborted.
+    pub(super) fn submit_copies<'b>(
+        &'b self,
+        parts: impl Iterator<Item = (&'b wgpu::Buffer, u64)>,
+        staging: &wgpu::Buffer,
+    ) -> u32 {
+        let mut frame = Frame::new(self);
+        frame.close();
+        let Frame { mut encoder, counted, .. } = frame;
+        let mut offset = 0;
+        for (buffer, bytes) in parts.chain([(self.epoch.raw(), 4)]) {
+            encoder.copy_buffer_to_buffer(buffer, 0, staging, offset, bytes);
+            offset += bytes;
+        }
+        self.submit(encoder.finish(), counted)
+    }
+}
+
+fn new_encoder(gpu: &Gpu) -> wgpu::CommandEncoder {
+    gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
 }
 
 /// Times every dispatch of a frame.

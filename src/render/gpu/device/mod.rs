@@ -2,6 +2,7 @@
 
 mod adapters;
 mod buffer;
+mod epoch;
 mod error;
 mod frame;
 mod host_memory;
@@ -16,9 +17,10 @@ use std::{
 };
 
 pub use adapters::{AdapterSummary, Profile, list_adapters, survey_adapters};
-use adapters::{adapters, choose, max_binding_bytes, summaries, wanted_limits};
+use adapters::{adapters, choose, loop_passes, max_binding_bytes, summaries, wanted_limits};
 pub(crate) use buffer::Buffer;
 use buffer::Memory;
+use epoch::Epoch;
 use error::Failure;
 pub use error::GpuError;
 pub(crate) use frame::{Frame, Timer, groups};
@@ -35,7 +37,15 @@ pub struct Gpu {
     limits: wgpu::Limits,
     /// Whether its memory is the host's.
     is_unified: bool,
+    /// Whether frames are submitted in parts: it may also draw the displays, and systems end submissions that keep it
+    /// from that.
+    splits_frames: bool,
+    /// Whether it may abort submissions without a word (`epoch.rs`).
+    counts_passes: bool,
+    /// As [`Self::loop_passes`].
+    loop_passes: Option<usize>,
     memory: Arc<Memory>,
+    epoch: Epoch,
     failure: Arc<Mutex<Option<Failure>>>,
     kernels: Mutex<HashMap<(String, Defines), Kernel>>,
 }
@@ -83,18 +93,25 @@ impl Gpu {
                 report(&slot, Failure::Other(format!("the device was lost: {message}")));
             }
         });
+        let epoch = Epoch::new(&device);
+        let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
         Ok(Self {
             device,
             queue,
+            loop_passes: loop_passes(&info.name, is_cpu),
             adapter: info.name,
             profile: Profile {
                 subgroups: features.contains(wgpu::Features::SUBGROUP),
                 timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
-                is_cpu: info.device_type == wgpu::DeviceType::Cpu,
+                is_cpu,
             },
             limits,
-            is_unified: matches!(info.device_type, wgpu::DeviceType::Cpu | wgpu::DeviceType::IntegratedGpu),
+            is_unified: is_cpu || info.device_type == wgpu::DeviceType::IntegratedGpu,
+            splits_frames: info.device_type == wgpu::DeviceType::IntegratedGpu,
+            // Tests show that nothing goes uncounted.
+            counts_passes: info.backend == wgpu::Backend::Metal || cfg!(test),
             memory: Arc::default(),
+            epoch,
             failure,
             kernels: Mutex::default(),
         })
@@ -135,9 +152,9 @@ impl Gpu {
     }
 
     /// Limit on the passes of all loops of a thread together, if there is one: Mesa's software adapter silently ends
-    /// them after that many (`LP_MAX_TGSI_LOOP_ITERATIONS`; in a loop with `continue` each counts twice).
+    /// them after that many.
     pub(crate) fn loop_passes(&self) -> Option<usize> {
-        self.profile.is_cpu.then_some(65_535)
+        self.loop_passes
     }
 
     /// Largest number of workgroups in a row of a dispatch.
@@ -180,6 +197,8 @@ impl Gpu {
         self.kernels = Mutex::default();
         self.profile.is_cpu = false;
         self.is_unified = false;
+        self.splits_frames = false;
+        self.loop_passes = None;
         self
     }
 
@@ -190,6 +209,15 @@ impl Gpu {
         self.kernels = Mutex::default();
         self.profile.is_cpu = true;
         self.is_unified = true;
+        self.splits_frames = false;
+        self.loop_passes = Some(adapters::LOOP_PASSES);
+        self
+    }
+
+    /// The same adapter, with frames in parts or whole.
+    #[cfg(test)]
+    pub(crate) fn splitting_frames(mut self, splits: bool) -> Self {
+        self.splits_frames = splits;
         self
     }
 
