@@ -266,10 +266,26 @@ pub fn replace_all<'a>(staging: &Staging, files: &[(&Path, &'a Path)]) -> Result
 #[cfg(unix)]
 fn keep_mode(file: &Path, place: &Path) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt as _;
-    let Ok(former) = fs::metadata(place) else { return Ok(()) };
-    let [former, new] = [former, fs::metadata(file)?].map(|file| file.permissions().mode() & 0o777);
+    let Ok(former) = mode_of(place) else { return Ok(()) };
     // Not all file systems have permissions.
-    if former == new { Ok(()) } else { fs::set_permissions(file, fs::Permissions::from_mode(former)) }
+    if former == mode_of(file)? { Ok(()) } else { fs::set_permissions(file, fs::Permissions::from_mode(former)) }
+}
+
+/// Makes `options` create a file that nobody can open who cannot open the file it is to replace; what `keep_mode` then
+/// takes away could have been opened before.
+#[cfg(unix)]
+fn begin_with_mode(options: &mut fs::OpenOptions, place: &Path) {
+    use std::os::unix::fs::OpenOptionsExt as _;
+    if let Ok(former) = mode_of(place) {
+        options.mode(former);
+    }
+}
+
+/// Permissions of a file for its user, its group and others.
+#[cfg(unix)]
+fn mode_of(file: &Path) -> io::Result<u32> {
+    use std::os::unix::fs::PermissionsExt as _;
+    Ok(fs::metadata(file)?.permissions().mode() & 0o777)
 }
 
 /// Prefix of the names of temporary files and folders.
@@ -288,7 +304,11 @@ pub(crate) fn write_with(
     let path = place_of(path)?;
     // Temporary files of `tempfile` are private; the result is as readable as the umask allows, like any other file, or
     // as the file it replaces.
-    let make = |path: &Path| File::options().read(true).write(true).create_new(true).open(path);
+    let mut options = File::options();
+    options.read(true).write(true).create_new(true);
+    #[cfg(unix)]
+    begin_with_mode(&mut options, &path);
+    let make = |path: &Path| options.open(path);
     let (_listed, mut temporary) = listed(|| tempfile::Builder::new().prefix(PREFIX).make_in(folder_of(&path), make))?;
     #[cfg(unix)]
     keep_mode(temporary.path(), &path)?;
@@ -358,6 +378,21 @@ mod tests {
             let is = (fs::read(&path).unwrap(), fs::metadata(&path).unwrap().permissions().mode() & 0o777);
             assert_eq!(is, (b"newer".to_vec(), mode));
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_to_replace_a_private_file_begins_private() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = tempfile::tempdir().unwrap();
+        let [private, new] = ["private", "new"].map(|name| folder.path().join(name));
+        fs::write(&private, b"old").unwrap();
+        fs::set_permissions(&private, fs::Permissions::from_mode(0o600)).unwrap();
+        let mut options = File::options();
+        options.write(true).create_new(true);
+        begin_with_mode(&mut options, &private);
+        options.open(&new).unwrap();
+        assert_eq!(mode_of(&new).unwrap(), 0o600);
     }
 
     #[test]

@@ -22,12 +22,13 @@ impl Lock {
     /// Locks the file at `path`, and creates it if there is none; `None` if another process holds the lock.
     ///
     /// # Errors
-    /// If the file cannot be opened for writing, or not be locked although its file system has locks.
+    /// If the file cannot be made or opened, or not be locked although its file system has locks.
     pub fn take(path: &Path) -> io::Result<Option<Self>> {
         let mut more = 1..MOST_TRIES;
         loop {
             // Not truncated, because the file may be another process's.
-            let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+            let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
+            let file = or_readable(file, path)?;
             let excludes = match file.try_lock() {
                 Ok(()) => true,
                 Err(TryLockError::WouldBlock) => return Ok(None),
@@ -41,7 +42,8 @@ impl Lock {
         }
     }
 
-    /// The locked file, open for reading and writing at its beginning. On Windows it can be read through this handle alone.
+    /// The locked file, open at its beginning for reading and, unless it is another user's that is read-only here, for
+    /// writing. On Windows it can be read through this handle alone.
     #[must_use]
     pub fn file(&self) -> &File {
         &self.file
@@ -58,7 +60,7 @@ impl Lock {
 pub struct LockFile {
     listed: Listed,
     // Released last.
-    _lock: Lock,
+    lock: Lock,
 }
 
 impl LockFile {
@@ -72,15 +74,33 @@ impl LockFile {
         let lock = Lock::take(path)?;
         Ok(lock.map(|lock| {
             list.insert(path.to_owned(), None);
-            Self { listed: Listed(path.to_owned()), _lock: lock }
+            Self { listed: Listed(path.to_owned()), lock }
         }))
+    }
+
+    /// Same as [`Lock::excludes`].
+    #[must_use]
+    pub fn excludes(&self) -> bool {
+        self.lock.excludes()
     }
 }
 
 impl Drop for LockFile {
     fn drop(&mut self) {
+        // `abandon_all` removes what is listed: in between the file could have become another process's.
+        let mut list = list();
         // The lock is still held, so the file is no other process's.
         let _ = fs::remove_file(&self.listed.0);
+        list.remove(&self.listed.0);
+    }
+}
+
+/// The file at `path`, `opened` for writing or, where that is denied, as of another user's file, for reading, which is
+/// enough to lock it.
+fn or_readable(opened: io::Result<File>, path: &Path) -> io::Result<File> {
+    match opened {
+        Err(denied) if denied.kind() == io::ErrorKind::PermissionDenied => File::open(path).map_err(|_| denied),
+        done => done,
     }
 }
 
@@ -109,6 +129,9 @@ fn are_unknown(error: &io::Error) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::thread;
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
@@ -123,10 +146,46 @@ mod tests {
         drop(held);
         assert_eq!(fs::read(&path).unwrap(), b"left");
         let held = LockFile::take(&path).unwrap().unwrap();
+        assert!(held.excludes());
         assert_eq!(list().get(&path), Some(&None));
         assert!(Lock::take(&path).unwrap().is_none() && path.exists());
         drop(held);
         assert!(!path.exists() && !list().contains_key(&path));
+    }
+
+    /// Tests may run as a user to whom nothing is denied.
+    #[test]
+    fn a_file_that_can_only_be_read_can_be_locked() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.lock");
+        let failed = |kind: io::ErrorKind| or_readable(Err(kind.into()), &path);
+        let denied = io::ErrorKind::PermissionDenied;
+        assert_eq!(failed(denied).unwrap_err().kind(), denied, "there is no file");
+        fs::write(&path, "left").unwrap();
+        assert_eq!(failed(io::ErrorKind::StorageFull).unwrap_err().kind(), io::ErrorKind::StorageFull);
+        let file = failed(denied).unwrap();
+        file.try_lock().unwrap();
+        assert!(Lock::take(&path).unwrap().is_none());
+        drop(file);
+        let mut permissions = fs::metadata(&path).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&path, permissions).unwrap();
+        assert!(Lock::take(&path).unwrap().is_some_and(|lock| lock.excludes()));
+    }
+
+    /// As while `abandon_all` removes what is listed.
+    #[test]
+    fn a_file_is_not_removed_while_the_list_is_in_use() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.lock");
+        let held = LockFile::take(&path).unwrap().unwrap();
+        let in_use = list();
+        let thread = thread::spawn(move || drop(held));
+        thread::sleep(Duration::from_millis(50));
+        let is_there = path.exists();
+        drop(in_use);
+        thread.join().unwrap();
+        assert!(is_there && !path.exists() && !list().contains_key(&path));
     }
 
     #[cfg(unix)]

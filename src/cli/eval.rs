@@ -13,7 +13,7 @@ use centaur::metrics::{
     side_by_side,
 };
 use centaur::render::gpu::Gpu;
-use centaur::scene::{Camera, HybridScene, center_and_spread};
+use centaur::scene::{Camera, Composition, HybridScene, center_and_spread};
 use glam::DQuat;
 use image::{ImageBuffer, PixelWithColorType};
 
@@ -99,7 +99,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let capture = args.loading.open(&args.capture, true)?;
     // Refused before any note is printed.
     args.output.as_deref().map_or(Ok(()), |folder| report_pictures(folder, &capture).map(drop))?;
-    shared::fit_near(&mut file, held_out(&capture).unwrap_or_default().into_iter().map(|view| &view.camera));
+    let near = shared::fit_near(&mut file, capture.views.iter().map(|view| &view.camera));
+    notes.extend(near.map(|near| fitted(&args.scene, near)));
     notes.extend(training.as_ref().and_then(|training| training.of_another(&capture)));
     let passed_over = shared::passed_over(&capture.passed_over).into_iter();
     notes.extend(passed_over.map(|note| format!("{}: {note}", args.capture.display())));
@@ -160,6 +161,13 @@ struct Noted<'a> {
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     notes: &'a [String],
+}
+
+/// Note on a near plane that was fitted to the scene: scores at the end of a training are of what it trains.
+fn fitted(scene: &Path, near: f32) -> String {
+    let usual = Composition::default().near;
+    let scene = scene.display();
+    format!("{scene}: states no near plane: it is {near}, as in `centaur render`, instead of {usual}, as in training")
 }
 
 /// Note if the scene was trained on views that are scored.

@@ -68,9 +68,14 @@ fn ignores_hangups() -> bool {
 /// Whether a child, which inherits what is ignored, survives a hangup.
 #[cfg(unix)]
 fn child_ignores_hangups() -> bool {
-    let mut child = Command::new("/bin/sh");
-    child.args(["-c", "kill -HUP $$"]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    child.status().is_ok_and(|status| status.success())
+    survives(Command::new("/bin/sh").args(["-c", "kill -HUP $$"]))
+}
+
+/// Whether a command that sends itself a signal succeeds.
+#[cfg(unix)]
+fn survives(command: &mut Command) -> bool {
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command.status().is_ok_and(|status| status.success())
 }
 
 /// Flag for a command to poll, which the next signal sets instead of ending the program; a further signal ends it.
@@ -143,5 +148,18 @@ mod tests {
     #[test]
     fn a_child_tells_as_well_as_linux_whether_hangups_are_ignored() {
         assert_eq!(super::child_ignores_hangups(), super::ignores_hangups());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_child_survives_a_hangup_where_it_is_ignored() {
+        use std::process::Command;
+        let ignoring = r#"trap "" HUP; exec /bin/sh -c "kill -HUP \$\$""#;
+        assert!(super::survives(Command::new("/bin/sh").args(["-c", ignoring])));
+        // Tests may run under `nohup`; a shell cannot undo that, and other systems have no program that can.
+        if cfg!(target_os = "linux") {
+            let usual = ["--default-signal=HUP", "/bin/sh", "-c", "kill -HUP $$"];
+            assert!(!super::survives(Command::new("env").args(usual)));
+        }
     }
 }

@@ -273,6 +273,17 @@ impl Args {
         Ok(shot)
     }
 
+    /// Fits the near plane to all cameras that there are, whichever of them --camera picks.
+    fn fit_near(&self, file: &mut SceneFile, shot: &CameraFile) {
+        let picks = Sampling { time: self.moment(), ..self.sampling.sampling() };
+        let leaves_out = !self.is_embedded() && !picks.only.is_empty();
+        let all = Sampling { only: &[], ..picks };
+        let read = (leaves_out && shared::lacks_near(file)).then(|| self.loading.cameras(self.source(), &all));
+        // Nobody has asked for those that cannot be read.
+        let all = read.and_then(Result::ok).map_or_else(Vec::new, |all| all.in_frame(false).cameras);
+        shared::fit_near(file, all.iter().chain(&shot.cameras).map(|(_, camera)| camera));
+    }
+
     /// Path of each camera's image.
     fn pictures(&self, shot: &CameraFile) -> Vec<PathBuf> {
         let extension = if self.format() == Format::Png { "png" } else { "exr" };
@@ -290,7 +301,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         file.scene.composition.background = background.color();
     }
     let shot = args.shot(&mut file)?;
-    shared::fit_near(&mut file, shot.cameras.iter().map(|(_, camera)| camera));
+    args.fit_near(&mut file, &shot);
     args.video.as_deref().map_or(Ok(()), |path| video::check(path, &args.output, &shot.cameras))?;
     let gpu = args.adapter.open()?;
     let pictures = args.pictures(&shot);

@@ -226,16 +226,23 @@ fn near_of(file: &SceneFile, radius: f64) -> f32 {
 
 /// Sets the near plane of a scene without cameras that is seen from outside of what it shows: the same as for views
 /// around it. From within, the default keeps out what floats before cameras, as in training. Scores are of what is
-/// rendered.
-pub(super) fn fit_near<'c>(file: &mut SceneFile, mut cameras: impl Iterator<Item = &'c Camera>) {
+/// rendered. Returns the depth of the near plane if that is another than before.
+pub(super) fn fit_near<'c>(file: &mut SceneFile, mut cameras: impl Iterator<Item = &'c Camera>) -> Option<f32> {
+    let before = file.scene.composition.near;
     // A scene with nothing in it has no radius, and needs none.
-    if file.cameras.is_empty()
-        && !file.states_composition
+    if lacks_near(file)
         && let Ok(Overview { focus, radius, .. }) = path::overview(&file.scene, 1)
         && cameras.all(|camera| camera.center().distance(focus) > radius)
     {
         file.scene.composition.near = near_of(file, radius);
     }
+    let near = file.scene.composition.near;
+    (near != before).then_some(near)
+}
+
+/// Whether the near plane of a scene depends on its cameras, see [`fit_near`].
+pub(super) fn lacks_near(file: &SceneFile) -> bool {
+    file.cameras.is_empty() && !file.states_composition
 }
 
 /// Which of the cameras of `path` are asked for.

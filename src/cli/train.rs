@@ -25,7 +25,7 @@ use super::{interrupt, output};
 
 pub(super) fn run(args: &Args) -> Result<()> {
     args.check()?;
-    let _lock = args.lock()?;
+    let lock = args.lock()?;
     let capture = args.open()?;
     let (mesh, of_mesh) = args.mesh(&capture)?;
     let lpips = args.lpips.open()?;
@@ -35,6 +35,10 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let scores = will_be_scored(args, &capture, lpips.as_ref())?;
     let mut told = notes::before_training(args, &capture, &gpu, scores);
     told.extend(of_mesh);
+    if !lock.excludes() {
+        let output = args.output.display();
+        told.push(format!("{output}: files cannot be locked here: a second training would not be refused"));
+    }
     let aside = set_aside(args)?;
     told.extend(aside.iter().map(|aside| {
         format!(

@@ -28,8 +28,8 @@ pub struct ReadOptions<'a> {
 pub struct SplatFile {
     /// The splats.
     pub splats: Splats,
-    /// Pixel filter with which the splats were trained, [`PixelFilter::DILATION`] unless the file states another:
-    /// [`PixelFilter::NORMALIZED_DILATION`] where it says *antialiased*.
+    /// Pixel filter with which the splats were trained, [`PixelFilter::DILATION`] unless the file states another: a
+    /// `.ply` may state any, SOG and SPZ [`PixelFilter::NORMALIZED_DILATION`], by saying *antialiased*.
     pub pixel_filter: PixelFilter,
     /// Further per-splat attributes, which `.ply` alone has.
     pub attributes: Vec<Attribute>,
@@ -41,11 +41,15 @@ pub struct SplatFile {
 }
 
 impl SplatFile {
-    /// Content of a file of a format that has no attributes and of which no splat is dropped.
-    pub(super) fn new(splats: Splats, antialiased: bool, notes: Vec<String>) -> Self {
-        let pixel_filter = if antialiased { PixelFilter::NORMALIZED_DILATION } else { PixelFilter::DILATION };
-        Self { splats, pixel_filter, attributes: vec![], notes, dropped: None }
+    /// Content of a file that says nothing of its splats besides.
+    pub(super) fn of(splats: Splats) -> Self {
+        Self { splats, pixel_filter: PixelFilter::DILATION, attributes: vec![], notes: vec![], dropped: None }
     }
+}
+
+/// Pixel filter of splats of which a file says no more than whether they are *antialiased*, as SOG and SPZ do.
+pub(super) fn pixel_filter_of(antialiased: bool) -> PixelFilter {
+    if antialiased { PixelFilter::NORMALIZED_DILATION } else { PixelFilter::DILATION }
 }
 
 /// Content of a file of more than splats. The fields are those of [`SceneFile`](super::SceneFile).

@@ -1,3 +1,5 @@
+//! Errors of reading and writing files, with the place of a fault, and first steps of reading a file.
+
 use std::borrow::Cow;
 use std::fmt;
 use std::io::{BufReader, Read as _};
@@ -95,7 +97,8 @@ impl fmt::Display for Location {
 }
 
 /// What is wrong with the content of a file. Displays as [`FormatError::Content`] without the file's name.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{location}expected {expected}, found {found}")]
 pub struct Fault {
     /// Where in the file.
     pub location: Location,
@@ -103,13 +106,6 @@ pub struct Fault {
     pub expected: String,
     /// What the file contains.
     pub found: String,
-}
-
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { location, expected, found } = self;
-        write!(f, "{location}expected {expected}, found {found}")
-    }
 }
 
 impl Fault {
@@ -201,11 +197,6 @@ impl Fault {
             Location::File => self,
             at => Self { location: Location::Member { name: "unpacked".to_owned(), at: Box::new(at) }, ..self },
         }
-    }
-
-    /// Splits into place, expectation and finding.
-    pub(crate) fn into_parts(self) -> (Location, String, String) {
-        (self.location, self.expected, self.found)
     }
 
     pub(crate) fn in_file(self, file: &Path) -> FormatError {

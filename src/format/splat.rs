@@ -91,7 +91,7 @@ fn parse(mut file: impl Read + Seek + Send, drop_invalid: bool) -> Result<SplatF
         }
     })?;
     let splats = arrays.check().map_err(|e| invalid(&mut file, e))?;
-    Ok(SplatFile { dropped: Some(dropped), ..SplatFile::new(splats, false, vec![]) })
+    Ok(SplatFile { dropped: Some(dropped), ..SplatFile::of(splats) })
 }
 
 /// What is wrong with a splat that no scene holds, as it is stored.

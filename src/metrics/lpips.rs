@@ -84,12 +84,12 @@ pub enum LpipsError {
         source: std::io::Error,
     },
     /// A tensor or the header is missing or not as expected.
-    #[error("{}: {source}", file.display())]
+    #[error("{}: {fault}", file.display())]
     Content {
         /// Path of the file.
         file: PathBuf,
         /// What is wrong with a tensor, or with the `header`.
-        source: SceneError,
+        fault: SceneError,
     },
 }
 
@@ -175,7 +175,7 @@ impl Lpips {
     /// If the file cannot be read, or a tensor is missing, has another shape or type, or holds a non-finite value.
     pub fn open(file: &Path) -> Result<Self, LpipsError> {
         let content = File::open(file).map_err(|source| LpipsError::Read { file: file.to_owned(), source })?;
-        Self::read(content).map_err(|source| LpipsError::Content { file: file.to_owned(), source })
+        Self::read(content).map_err(|fault| LpipsError::Content { file: file.to_owned(), fault })
     }
 
     fn read(source: impl Read + Seek) -> Result<Self, SceneError> {
@@ -538,7 +538,9 @@ mod tests {
         assert_eq!(opened(&tensors).err().unwrap(), "F: conv1.bias: expected finite numbers, found NaN at 1");
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), b"no weights").unwrap();
-        assert!(Lpips::open(file.path()).err().unwrap().to_string().contains("header: expected a safetensors file"));
+        let error = Lpips::open(file.path()).err().unwrap();
+        assert!(error.to_string().contains("header: expected a safetensors file"));
+        assert!(std::error::Error::source(&error).is_none(), "a cause that the message quotes");
     }
 
     /// A header can contain anything.

@@ -67,12 +67,12 @@ pub enum CheckpointError {
         source: io::Error,
     },
     /// The content is not valid.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {fault}", path.display())]
     Invalid {
         /// The file.
         path: PathBuf,
         /// The part at fault, and what is wrong with it.
-        source: SceneError,
+        fault: SceneError,
     },
 }
 
@@ -85,7 +85,7 @@ struct Header {
 
 /// Error constructor for the checkpoint at `path`, read or about to be written.
 fn invalid(path: &Path) -> impl Fn(SceneError) -> CheckpointError {
-    |source| CheckpointError::Invalid { path: path.into(), source }
+    |fault| CheckpointError::Invalid { path: path.into(), fault }
 }
 
 impl Checkpoint {
@@ -366,7 +366,9 @@ mod tests {
         assert_eq!(Checkpoint::read(&path).unwrap(), checkpoint());
         let mut broken = checkpoint();
         broken.splats.geometry[2 * GEOMETRY_FLOATS + 3] = f32::NAN;
-        let error = broken.write(&path).unwrap_err().to_string();
+        let error = broken.write(&path).unwrap_err();
+        assert!(std::error::Error::source(&error).is_none(), "a cause that the message quotes");
+        let error = error.to_string();
         assert!(
             error.ends_with("c.safetensors: opacity logits of splat 2: expected finite numbers, found another"),
             "{error}"

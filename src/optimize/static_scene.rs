@@ -186,18 +186,16 @@ impl<'a> Run<'a> {
         let input = identity::input(capture, source);
         let identity = Identity { options, input, finds_surface: source.is_found() };
         let photos = photographs::Photographs::open(capture, &train, views::sampled(&test))?;
-        let cameras = capture.cameras();
-        let train_cameras: Vec<Camera> = train.iter().map(|&i| cameras[i]).collect();
-        let scales = Scales::of(capture, &train, &train_cameras);
+        let exposures = options.exposure.then(|| ExposureState::new(capture.views.len()));
+        let views = Views::new(photos, capture.cameras(), &train, exposures);
+        let scales = Scales::of(capture, &train, &views.train_cameras);
         let bindable = most_splats(session.gpu, options.sh_degree);
         let budget = budget::Budget::of(options, source, scales.longest_side, bindable);
         // Without a warm-up the shell would not be judged.
-        let wants_shell = options.shell && source.is_found() && !photos.are_cut_out && options.warmup > 0;
-        let shell = wants_shell.then(|| Shell::around(&train_cameras, &capture.positions())).flatten();
+        let wants_shell = options.shell && source.is_found() && !views.photos.are_cut_out && options.warmup > 0;
+        let shell = wants_shell.then(|| Shell::around(&views.train_cameras, &capture.positions())).flatten();
         let given_hierarchy = OnceCell::new();
         let setup = Setup { capture, options, identity, train, test, scales, budget, shell, given_hierarchy };
-        let exposures = options.exposure.then(|| ExposureState::new(capture.views.len()));
-        let views = Views { photos, cameras, train_cameras, exposures, poses: None };
         Ok(Self { setup, views, kept_photographs: 0, log, found: SurfaceRecord::default(), session })
     }
 
@@ -261,8 +259,7 @@ impl<'a> Run<'a> {
             (Some(saved), _) => std::mem::take(&mut saved.meshes),
             (None, MeshSource::Given { surface, corner_uvs }) => {
                 self.found.surface = Some(SurfaceOrigin::Given);
-                let mesh = start::mesh(&self.setup, surface, corner_uvs)?;
-                vec![unseen::without_unseen(&self.setup, &self.views, mesh)?]
+                vec![start::given_mesh(&self.setup, &self.views, surface, corner_uvs)?]
             }
             (None, _) => vec![],
         };

@@ -234,6 +234,36 @@ fn small_scenes_are_scored_as_they_are_rendered() {
     let scores = run(folder.path(), &["eval", "small.ply", "capture", "--json", "--quiet"]);
     let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
     assert!(scores["psnr"].as_f64().unwrap() > 45.0, "{scores}");
+    let notes = scores["notes"].to_string();
+    assert!(notes.contains("small.ply: states no near plane: it is 0.00"), "{notes}");
+}
+
+/// One camera is inside of what the scene shows, and the near plane hides it from both. Neither is it another one where
+/// the other camera is picked or scored alone.
+#[test]
+fn the_near_plane_does_not_depend_on_the_choice_of_a_camera() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_ball_of(&at("small.ply"), Composition::default(), 0.01);
+    let frames = [("a.png", 0.03), ("b.png", 0.0)].map(|(name, z)| {
+        let pose = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
+        serde_json::json!({ "file_path": name, "transform_matrix": pose })
+    });
+    let cameras = serde_json::json!({ "w": 32, "h": 24, "fl_x": 32, "frames": frames });
+    std::fs::create_dir(at("capture")).unwrap();
+    std::fs::write(at("capture/transforms.json"), cameras.to_string()).unwrap();
+    for name in ["a.png", "b.png"] {
+        image::RgbImage::from_pixel(32, 24, image::Rgb([1; 3])).save(at("capture").join(name)).unwrap();
+    }
+    let render = ["render", "small.ply", "--cameras", "capture", "-o"];
+    for more in [&["both"][..], &["one", "--camera", "a.png"]] {
+        run(folder.path(), &[&render[..], more].concat());
+        let picture = image::open(at(more[0]).join("a.png")).unwrap().into_rgb8();
+        assert!(picture.iter().all(|c| *c == 0), "{more:?}");
+    }
+    let scores = run(folder.path(), &["eval", "small.ply", "capture", "--json", "--quiet"]);
+    let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
+    assert!(scores["psnr"].as_f64().unwrap() > 45.0 && !scores["notes"].to_string().contains("near plane"), "{scores}");
 }
 
 #[test]

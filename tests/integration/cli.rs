@@ -113,7 +113,12 @@ fn arguments_that_do_not_go_together_are_wrong_usage_in_one_line() {
 #[test]
 fn a_report_in_the_place_of_another_output_is_wrong_usage() {
     let folder = tempfile::tempdir().unwrap();
-    for (report, file) in [("./a.glb", "a.glb"), ("a.ply", "a.ply"), ("a.glb.checkpoint", "a.glb.checkpoint")] {
+    for (report, file) in [
+        ("./a.glb", "a.glb"),
+        ("a.ply", "a.ply"),
+        ("a.glb.checkpoint", "a.glb.checkpoint"),
+        ("a.glb.lock", "a.glb.lock"),
+    ] {
         let mut train = common::centaur(folder.path());
         let args = ["train", "c", "-o", "a.glb", "--ply", "a.ply", "--report", report];
         let line = common::wrong_usage(folder.path(), train.args(args));

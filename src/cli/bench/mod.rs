@@ -246,15 +246,20 @@ fn list(job: &Job, args: &Args) -> Result<()> {
 /// to `cmd`.
 fn quoted(word: &OsStr, is_windows: bool) -> Vec<u8> {
     let bytes = word.as_encoded_bytes();
-    let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@%".contains(c) || is_windows && *c == b'\\';
+    // Between percent signs `cmd` reads the name of a variable.
+    let of_system = if is_windows { b'\\' } else { b'%' };
+    let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@".contains(c) || *c == of_system;
     if !bytes.is_empty() && bytes.iter().all(plain) {
         return bytes.to_vec();
     }
     let (quote, inner) = if is_windows { (b'"', &br#"\""#[..]) } else { (b'\'', &br"'\''"[..]) };
-    let escaped = bytes.split(|c| *c == quote).collect::<Vec<_>>().join(inner);
     // Before a double quote, programs on Windows read two backslashes as one.
-    let last = bytes.iter().rev().take_while(|c| is_windows && **c == b'\\').count();
-    [&[quote][..], &escaped[..], &b"\\".repeat(last)[..], &[quote][..]].concat()
+    let doubled = |part: &[u8]| -> Vec<u8> {
+        let last = part.iter().rev().take_while(|c| is_windows && **c == b'\\').count();
+        [part, &b"\\".repeat(last)[..]].concat()
+    };
+    let escaped = bytes.split(|c| *c == quote).map(doubled).collect::<Vec<_>>().join(inner);
+    [&[quote][..], &escaped[..], &[quote][..]].concat()
 }
 
 #[cfg(test)]
@@ -263,9 +268,14 @@ mod tests {
 
     #[test]
     fn words_are_quoted_for_a_shell() {
-        for (word, expected) in
-            [("a/b-0", "a/b-0"), ("", "''"), ("a b", "'a b'"), ("it's", r"'it'\''s'"), ("$x", "'$x'")]
-        {
+        for (word, expected) in [
+            ("a/b-0%", "a/b-0%"),
+            ("", "''"),
+            ("a b", "'a b'"),
+            ("it's", r"'it'\''s'"),
+            ("$x", "'$x'"),
+            (r"a\", r"'a\'"),
+        ] {
             assert_eq!(quoted(OsStr::new(word), false), expected.as_bytes());
         }
         for (word, expected) in [
@@ -274,6 +284,8 @@ mod tests {
             (r"C:\a b\", r#""C:\a b\\""#),
             ("it's", r#""it's""#),
             (r#"a"b"#, r#""a\"b""#),
+            (r#"a\b\\"c\"#, r#""a\b\\\\\"c\\""#),
+            ("%PATH%", r#""%PATH%""#),
         ] {
             assert_eq!(quoted(OsStr::new(word), true), expected.as_bytes());
         }

@@ -165,7 +165,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     file.set_len(0)
         .and_then(|()| file.rewind())
         .and_then(|()| file.write_all(line(at_a_time).as_bytes()))
-        .context("cannot hold a lock")?;
+        .with_context(|| format!("{}: expected a lock file that can be written", path.display()))?;
     if cfg!(unix) {
         // As its stderr, the training holds the lock, too, until it ends: after this process is killed, it still writes
         // a checkpoint. On Windows a lock belongs to one process, and keeps others from writing.

@@ -10,6 +10,9 @@ use centaur::format::{self, Sharing};
 
 use crate::cli::output;
 
+/// Whether names that differ by case alone are usually one file here.
+const IGNORES_CASE: bool = cfg!(any(windows, target_os = "macos"));
+
 /// File that accompanies the output.
 struct Companion {
     staged: PathBuf,
@@ -65,7 +68,7 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
 
 /// Rejects overwriting files that the user has not named: inputs, or companions of another output.
 fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) -> Result<()> {
-    let is_own = names_one_of(output, companions).with_context(|| output.display().to_string())?;
+    let is_own = names_one_of(output, companions, IGNORES_CASE).with_context(|| output.display().to_string())?;
     for file in companions {
         let is_foreign = !is_own && file.replaces().with_context(|| file.place.display().to_string())?;
         let what = if output::spare(&file.place, inputs.iter().map(PathBuf::as_path)).is_err() {
@@ -80,9 +83,10 @@ fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) ->
     Ok(())
 }
 
-/// Whether the output exists and, by its text, has one of these companions, whose names may differ by case: the output
-/// may have been renamed where that does not matter.
-fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
+/// Whether the output exists and, by its text, has one of these companions, whose names may differ by case where the
+/// system `ignores_case`: the output may have been renamed.
+fn names_one_of(output: &Path, companions: &[Companion], ignores_case: bool) -> io::Result<bool> {
+    let are_one = |a: &[u8], b: &[u8]| if ignores_case { a.eq_ignore_ascii_case(b) } else { a == b };
     let own = companions.iter().filter(|file| !file.is_plugin());
     let own: Vec<&[u8]> = own.filter_map(|file| Some(file.place.file_name()?.as_encoded_bytes())).collect();
     let Some(longest) = own.iter().map(|name| name.len()).max().filter(|_| output.exists()) else {
@@ -95,7 +99,7 @@ fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
         if (&mut file).take(1 << 20).read_to_end(&mut text)? == 0 {
             return Ok(false);
         }
-        if own.iter().any(|name| text.windows(name.len()).any(|part| part.eq_ignore_ascii_case(name))) {
+        if own.iter().any(|name| text.windows(name.len()).any(|part| are_one(part, name))) {
             return Ok(true);
         }
     }
@@ -105,7 +109,7 @@ fn names_one_of(output: &Path, companions: &[Companion]) -> io::Result<bool> {
 /// only; an error for other exports.
 fn showing(output: &Path, beside: &Path, companions: &[Companion]) -> Result<Vec<Sharing>> {
     let named = || format!("{}: cannot write", output.display());
-    let shown = format::sharing(beside).with_context(named)?;
+    let shown = format::sharing(beside, IGNORES_CASE).with_context(named)?;
     if shown.is_empty() {
         return Ok(shown);
     }
@@ -143,5 +147,21 @@ fn is_equal(a: &Path, b: &Path) -> io::Result<bool> {
         }
         a.consume(length);
         b.consume(length);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_in_another_case_are_own_where_the_system_ignores_case() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let own = [Companion { staged: at("staged"), place: at("s_splats.ply") }];
+        std::fs::write(at("s.xml"), "<string value=\"S_splats.ply\"/>").unwrap();
+        assert!(names_one_of(&at("s.xml"), &own, true).unwrap() && !names_one_of(&at("s.xml"), &own, false).unwrap());
+        std::fs::write(at("s.xml"), "<string value=\"s_splats.ply\"/>").unwrap();
+        assert!([true, false].iter().all(|&ignores_case| names_one_of(&at("s.xml"), &own, ignores_case).unwrap()));
     }
 }

@@ -412,7 +412,9 @@ impl Args {
     /// Checks everything that can be known to fail before the first iteration.
     pub(super) fn check(&self) -> Result<()> {
         if let Some(report) = &self.report {
-            let files = [Some(&self.output), self.ply.as_ref(), Some(&self.checkpoint())];
+            // What is wrong with the place of the scene is said below.
+            let lock = self.lock_path().ok();
+            let files = [Some(&self.output), self.ply.as_ref(), Some(&self.checkpoint()), lock.as_ref()];
             if let Some(file) = files.into_iter().flatten().find(|file| output::is_same(file, report)) {
                 let file = file.display();
                 return Err(usage::wrong(format!("--report: expected another name than {file}, which is a file")));
@@ -446,15 +448,20 @@ impl Args {
 
     /// Keeps out other trainings of the same output: they would replace this one's checkpoint and scene.
     pub(super) fn lock(&self) -> Result<LockFile> {
-        let cannot = || format!("{}: cannot lock", self.output.display());
-        // Whichever links lead there.
-        let mut path = atomic::place_of(&self.output).with_context(cannot)?.into_os_string();
-        path.push(".lock");
-        let lock = LockFile::take(path.as_ref()).with_context(cannot)?;
+        let path = self.lock_path()?;
+        let lock = LockFile::take(&path).with_context(|| format!("{}: cannot lock", path.display()))?;
         lock.with_context(|| {
             let output = self.output.display();
             format!("{output}: another training is writing this scene: wait for its end, or give -o another name")
         })
+    }
+
+    /// Path of the lock beside where the scene comes to be, whichever links lead there: `scene.glb.lock`.
+    fn lock_path(&self) -> Result<PathBuf> {
+        let place = atomic::place_of(&self.output).with_context(|| format!("{}: cannot write", self.output.display()));
+        let mut name = place?.into_os_string();
+        name.push(".lock");
+        Ok(name.into())
     }
 
     pub(super) fn open(&self) -> Result<Capture> {

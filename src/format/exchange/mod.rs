@@ -16,6 +16,7 @@ pub(super) mod surface;
 #[cfg(test)]
 mod tests;
 
+use std::ffi::OsStr;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -58,11 +59,13 @@ pub struct Sharing {
     pub is_of_one_name: bool,
 }
 
-/// Exports in the folder of `output` that share its accompanying files, by name.
+/// Exports in the folder of `output` that share its accompanying files, by name; `ignores_case` if names that differ by
+/// case alone are one file on the system.
 ///
 /// # Errors
 /// If the folder cannot be listed.
-pub fn sharing(output: &Path) -> io::Result<Vec<Sharing>> {
+pub fn sharing(output: &Path, ignores_case: bool) -> io::Result<Vec<Sharing>> {
+    let are_one = |a: &OsStr, b: &OsStr| if ignores_case { a.eq_ignore_ascii_case(b) } else { a == b };
     let named = |path: &Path| -> Option<(usize, String, String)> {
         let name = path.file_name()?.to_string_lossy().into_owned();
         let ends = |suffix: &&&str| name.to_lowercase().ends_with(**suffix);
@@ -76,11 +79,10 @@ pub fn sharing(output: &Path) -> io::Result<Vec<Sharing>> {
     for entry in folder_of(output).read_dir()? {
         let name = entry?.file_name();
         let path = output.with_file_name(&name);
-        // Names that differ by case alone are one on many systems.
-        if let Some(other) = named(&path).filter(|other| other.0 == kind && other.1.eq_ignore_ascii_case(&prefix))
-            && !name.eq_ignore_ascii_case(output.file_name().unwrap_or_default())
+        if let Some(other) = named(&path).filter(|other| other.0 == kind && are_one(other.1.as_ref(), prefix.as_ref()))
+            && !are_one(&name, output.file_name().unwrap_or_default())
         {
-            found.push(Sharing { path, is_of_one_name: other.2.eq_ignore_ascii_case(&own) });
+            found.push(Sharing { path, is_of_one_name: are_one(other.2.as_ref(), own.as_ref()) });
         }
     }
     found.sort_by(|a, b| a.path.cmp(&b.path));

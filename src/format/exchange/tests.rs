@@ -12,19 +12,22 @@ fn names_come_of_the_stem() {
     assert_eq!(of("x", ".xml"), "x");
 }
 
-/// As on systems where case does not matter.
 #[test]
-fn exports_share_files_in_any_case() {
+fn exports_share_files_in_any_case_where_the_system_ignores_it() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     std::fs::write(at("A b.blend.py"), "").unwrap();
-    let of = |name: &str| {
-        let found = sharing(&at(name)).unwrap();
+    let of = |name: &str, ignores_case| {
+        let found = sharing(&at(name), ignores_case).unwrap();
         found.into_iter().map(|other| (other.path, other.is_of_one_name)).collect::<Vec<_>>()
     };
-    assert_eq!(of("a B.xml"), [(at("A b.blend.py"), true)]);
-    assert_eq!(of("a_b.xml"), [(at("A b.blend.py"), false)]);
-    assert!(of("a b.BLEND.py").is_empty() && of("c.xml").is_empty());
+    assert_eq!(of("a B.xml", true), [(at("A b.blend.py"), true)]);
+    assert_eq!(of("a_b.xml", true), [(at("A b.blend.py"), false)]);
+    assert!(of("A b.BLEND.py", true).is_empty() && of("c.xml", true).is_empty());
+    // Elsewhere these are names of different files.
+    assert!(of("a B.xml", false).is_empty() && of("a_b.xml", false).is_empty());
+    assert_eq!(of("A b.BLEND.py", false), [(at("A b.blend.py"), true)]);
+    assert_eq!(of("A_b.xml", false), [(at("A b.blend.py"), false)]);
 }
 
 #[test]

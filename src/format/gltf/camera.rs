@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::extension::{EXTRAS, ExactCamera};
 use crate::format::DEFAULT_HEIGHT;
 use crate::format::cameras::short;
-use crate::format::error::from_value;
+use crate::format::error::{Fault, from_value};
 use crate::format::placed::{Decomposed, similarity};
 use crate::scene::{Camera, Intrinsics, frame};
 
@@ -88,10 +88,7 @@ fn exact(camera: &gltf::json::Camera) -> Option<Result<ExactCamera, String>> {
     let extras = serde_json::from_str::<Value>(camera.extras.as_ref()?.get()).ok()?;
     let read =
         from_value::<ExactCamera>(extras.get(EXTRAS)?, &format!("extras/{EXTRAS}"), "the intrinsics of a camera");
-    Some(read.map_err(|fault| {
-        let (location, _, found) = fault.into_parts();
-        short(&format!("{location}{found}"))
-    }))
+    Some(read.map_err(|Fault { location, found, .. }| short(&format!("{location}{found}"))))
 }
 
 impl ExactCamera {

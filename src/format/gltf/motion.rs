@@ -217,8 +217,7 @@ impl Motion {
 
     /// What is not played, a sentence each.
     pub(super) fn notes(&self) -> Vec<String> {
-        let fault = self.faults.first().map(|fault| {
-            let (location, expected, found) = fault.clone().into_parts();
+        let fault = self.faults.first().map(|Fault { location, expected, found }| {
             let others =
                 if self.faults.len() > 1 { format!(", and {} more", self.faults.len() - 1) } else { String::new() };
             format!("{location}not played{others}: expected {expected}, found {found}")

@@ -125,6 +125,6 @@ impl Moving {
 }
 
 fn at_time(fault: Fault, time: f64) -> SceneError {
-    let (location, expected, found) = fault.into_parts();
+    let Fault { location, expected, found } = fault;
     SceneError { field: format!("at {time} s: {}", location.to_string().trim_end_matches([':', ' '])), expected, found }
 }

@@ -115,8 +115,7 @@ fn decompress(
         Fault::pointer(at, format!("a bufferView below {views}"), stream.buffer_view.to_string())
     })?;
     let SplatFile { splats, pixel_filter, notes: found, .. } =
-        spz::parse(&asset.view_bytes(&view)?).map_err(|fault| {
-            let (location, expected, found) = fault.into_parts();
+        spz::parse(&asset.view_bytes(&view)?).map_err(|Fault { location, expected, found }| {
             Fault::pointer(at, expected, format!("{found} ({location}in the stream)"))
         })?;
     let antialiased =

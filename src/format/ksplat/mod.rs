@@ -86,7 +86,7 @@ pub fn read(path: &Path) -> Result<Splats, FormatError> {
 /// Those of [`read`].
 pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     let splats = decode::decode(open_file(path)?).map_err(|fault| fault.in_file(path))?;
-    Ok(SplatFile::new(splats, false, vec![]))
+    Ok(SplatFile::of(splats))
 }
 
 /// Writes splats: in their own order at level 0, bucket by bucket at other levels.

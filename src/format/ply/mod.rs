@@ -208,7 +208,7 @@ fn parse(file: impl BufRead + Seek + Send, drop_invalid: bool) -> Result<SplatFi
     let pixel_filter = pixel_filter_of(&header, &mut notes);
     if compressed::is_compressed(&header) {
         let splats = compressed::parse(&header, &mut body)?;
-        return Ok(SplatFile { splats, attributes: vec![], pixel_filter, notes, dropped: None });
+        return Ok(SplatFile { pixel_filter, notes, ..SplatFile::of(splats) });
     }
     let vertex = header.required("vertex")?;
     of_something_else(&header, vertex).map_or(Ok(()), Err)?;
@@ -314,7 +314,7 @@ fn invalid(header: &Header, body: &mut Body<impl BufRead + Seek>, parameters: &[
     let fault = Fault::from(error);
     let Some((field, row)) = fault.element() else { return fault };
     let at = body.locate(header, "vertex", |i| i, fault.clone()).location;
-    let (_, expected, found) = fault.into_parts();
+    let Fault { expected, found, .. } = fault;
     let fault = match not_finite(header, body, parameters, row) {
         Some((name, value)) => Fault::at(at, "finite numbers", format!("{value} in row {row} of `{name}`")),
         None if field == "rotations" => Fault::at(at, expected, format!("{found} in row {row} of `rot_0` to `rot_3`")),

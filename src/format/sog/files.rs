@@ -97,10 +97,15 @@ impl FileSet {
         let missing = |reason: String| Fault::pointer(at, "a readable file", format!("`{name}` ({reason})"));
         let mut content = vec![];
         let read = match &mut self.place {
-            Place::Bundle(archive) => match archive.by_name(name) {
-                Ok(member) => member.take(limit + 1).read_to_end(&mut content),
-                Err(e) => return Err(missing(e.to_string()).in_member(META)),
-            },
+            Place::Bundle(archive) => {
+                // As in a folder, see `inside`; `\` may also be a part of a name.
+                let slashed = name.replace('\\', "/");
+                let found = if archive.index_for_name(name).is_some() { name } else { slashed.as_str() };
+                match archive.by_name(found) {
+                    Ok(member) => member.take(limit + 1).read_to_end(&mut content),
+                    Err(e) => return Err(missing(e.to_string()).in_member(META)),
+                }
+            }
             Place::Folder(folder) => {
                 let path = inside(folder, name).map_err(|(expected, found)| Fault::pointer(at, expected, found))?;
                 let file = File::open(path).map_err(|e| missing(e.to_string()))?;

@@ -11,6 +11,7 @@ use super::files::FileSet;
 use super::left_out;
 use crate::atomic::folder_of;
 use crate::format::SplatFile;
+use crate::format::content::pixel_filter_of;
 use crate::format::error::{Fault, FormatError, file_bytes, from_json, read_file, shown};
 use crate::format::inside::inside;
 use crate::format::splat_record::SplatRecord;
@@ -134,7 +135,7 @@ pub(super) fn read(path: &Path) -> Result<SplatFile, FormatError> {
     }
     notes.extend(of_sets);
     let splats = arrays.check().map_err(|e| Fault::from(e).under("/tree").in_file(path))?;
-    Ok(SplatFile::new(splats, antialiased, notes))
+    Ok(SplatFile { pixel_filter: pixel_filter_of(antialiased), notes, ..SplatFile::of(splats) })
 }
 
 /// Splats of one folder or bundle; never of another index, because indices might refer to each other in a cycle.

@@ -22,6 +22,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use self::files::FileSet;
+use super::content::pixel_filter_of;
 use super::error::{Fault, FormatError, shown, some_of};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::SplatRecord;
@@ -80,10 +81,11 @@ impl FileSet {
         let scheme = decode::Scheme::parse(&meta, self.bytes()).map_err(|fault| self.in_meta(fault))?;
         let images = scheme.fetch(self)?;
         let splats = scheme.decoder(&images).and_then(|decoder| decoder.splats());
+        let splats = splats.map_err(|fault| self.in_meta(fault))?;
         let (antialiased, of_model) = meta.antialiased();
         let of_rest = left_out(files::META, meta.rest.keys().map(String::as_str));
         let notes = of_model.into_iter().chain(of_rest).collect();
-        Ok(SplatFile::new(splats.map_err(|fault| self.in_meta(fault))?, antialiased, notes))
+        Ok(SplatFile { pixel_filter: pixel_filter_of(antialiased), notes, ..SplatFile::of(splats) })
     }
 }
 

@@ -241,6 +241,21 @@ fn antialiasing_is_said_as_every_reader_knows_it() {
 }
 
 #[test]
+fn members_are_found_by_names_with_backslashes() {
+    let zip = written(&random_splats(9, 0, 4)).0;
+    let splats = parse(zip.clone()).unwrap();
+    let images = json!([r"in\means_l.webp", r"in\means_u.webp"]);
+    let within = with_meta(&zip, |meta| meta["means"]["files"] = images);
+    // Folders, and parts of names.
+    for begin in ["in/", r"in\"] {
+        let mut files = unzip(&within);
+        let means = files.iter_mut().filter(|(name, _)| name.starts_with("means_"));
+        means.for_each(|(name, _)| name.insert_str(0, begin));
+        assert_eq!(parse(zipped(&files, CompressionMethod::Stored)).unwrap(), splats, "{begin}");
+    }
+}
+
+#[test]
 fn what_a_file_has_besides_is_named() {
     let zip = written(&random_splats(9, 0, 4)).0;
     let more = with_meta(&zip, |meta| {

@@ -27,6 +27,7 @@ use std::path::Path;
 use self::container::{ANTIALIASED, Header, Packed, STREAMS, Writer};
 use self::frame::Frame;
 use super::blocks::in_waves;
+use super::content::pixel_filter_of;
 use super::error::{Fault, read_file};
 use super::loss::{Loss, SplatError, WriteReport};
 use super::splat_record::SplatRecord;
@@ -125,7 +126,8 @@ pub(super) fn parse(bytes: &[u8]) -> Result<SplatFile, Fault> {
     let mut arrays = SplatArrays::with_capacity(header.count, sh_degree);
     let streams = streams.each_ref().map(Vec::as_slice);
     arrays.extend(header.count, |i| frame.to_scene(&packed::decode(&header, streams, i)));
-    Ok(SplatFile::new(arrays.check()?, header.flags & ANTIALIASED != 0, notes))
+    let pixel_filter = pixel_filter_of(header.flags & ANTIALIASED != 0);
+    Ok(SplatFile { pixel_filter, notes, ..SplatFile::of(arrays.check()?) })
 }
 
 /// Number of splats packed as one task.

@@ -129,10 +129,9 @@ impl<'a> Materials<'a> {
         match self.exact(stage, mesh.prim) {
             None => {}
             Some(Ok(atlas)) => return Ok((atlas, Coordinates::plain())),
-            Some(Err(fault)) => {
-                let (place, expected, found) = fault.into_parts();
+            Some(Err(Fault { location, expected, found })) => {
                 notes.push(format!(
-                    "{place}the maps cannot be read, those of the material are shown instead: expected {expected}, found {found}"
+                    "{location}the maps cannot be read, those of the material are shown instead: expected {expected}, found {found}"
                 ));
             }
         }

@@ -41,18 +41,28 @@ impl Place {
             Self::Folder(folder) => resolve(&as_uri(path), folder),
             Self::Package { archive, folder } => {
                 let outside = || ("a file of the package".to_owned(), format!("`{path}`"));
-                let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
-                for part in path.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".") {
-                    if part == ".." {
-                        parts.pop().ok_or_else(outside)?;
-                    } else {
-                        parts.push(part);
-                    }
-                }
-                member(archive, &parts.join("/"))
+                let name = joined(folder, path, &['/', '\\']).ok_or_else(outside)?;
+                // On other systems than Windows `\` may be a part of a name.
+                let as_written = joined(folder, path, &['/']).filter(|name| archive.index_for_name(name).is_some());
+                let is_there = archive.index_for_name(&name).is_some();
+                member(archive, &as_written.filter(|_| !is_there).unwrap_or(name))
             }
         }
     }
+}
+
+/// Name of the member at a `path` relative to `folder`, with any of these characters between folders; `None` if it leads
+/// out of the package.
+fn joined(folder: &str, path: &str, between: &[char]) -> Option<String> {
+    let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
+    for part in path.split(between).filter(|part| !part.is_empty() && *part != ".") {
+        if part == ".." {
+            parts.pop()?;
+        } else {
+            parts.push(part);
+        }
+    }
+    Some(parts.join("/"))
 }
 
 /// Total length of the files at asset paths beside a layer, each counted once.

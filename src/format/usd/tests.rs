@@ -464,6 +464,29 @@ fn what_cannot_be_taken_over_is_refused_in_one_line() {
 }
 
 #[test]
+fn members_are_found_by_names_with_backslashes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write(&at("a.usda"), &random_scene(0, 1, 0, 2), &[], None).unwrap();
+    let text = std::fs::read_to_string(at("a.usda")).unwrap();
+    let scene = read(&at("a.usda")).unwrap().scene;
+    let names =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let maps: Vec<String> = names.filter(|name| name != "a.usda").collect();
+    assert!(maps.iter().all(|name| name.starts_with("a_mesh")), "{maps:?}");
+    // Folders, and parts of names.
+    for begin in ["maps/a_mesh", r"maps\a_mesh"] {
+        let members: Vec<(String, Vec<u8>)> =
+            maps.iter().map(|name| (name.replacen("a_mesh", begin, 1), std::fs::read(at(name)).unwrap())).collect();
+        let text = text.replace("./a_mesh", r"./maps\a_mesh");
+        let layer = |out: &mut package::Limited<'_, _>| std::io::Write::write_all(out, text.as_bytes());
+        package::write(std::fs::File::create(at("a.usdz")).unwrap(), layer, &members).unwrap();
+        let back = read(&at("a.usdz")).unwrap();
+        assert!(back.scene == scene && back.notes.is_empty(), "{begin}: {:?}", back.notes);
+    }
+}
+
+#[test]
 fn paths_do_not_lead_out_of_folder_or_package() {
     let folder = tempfile::tempdir().unwrap();
     let inner = folder.path().join("in");

@@ -123,7 +123,7 @@ impl Findings {
 
     /// Adds a reader's fault as an error.
     fn fault(&mut self, code: &'static str, fault: Fault) {
-        let (location, expected, found) = fault.into_parts();
+        let Fault { location, expected, found } = fault;
         self.add(Severity::Error, code, location, expected, found);
     }
 

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use super::{Finding, Severity};
-use crate::format::FormatError;
 use crate::format::usd::{Breach, breaches};
+use crate::format::{Fault, FormatError};
 
 /// Checks a layer, or that of a package.
 pub(super) fn check(path: &Path) -> Result<Vec<Finding>, FormatError> {
     let finding = |Breach { code, is_error, fault }| {
         let severity = if is_error { Severity::Error } else { Severity::Warning };
-        let (location, expected, found) = fault.into_parts();
+        let Fault { location, expected, found } = fault;
         Finding { severity, code, location, expected, found }
     };
     Ok(breaches(path)?.into_iter().map(finding).collect())

@@ -46,8 +46,8 @@ pub(super) fn painted(setup: &Setup, views: &Views, mesh: Mesh) -> Result<Mesh, 
     let exposures = views.exposures.as_ref();
     // All cameras, by the capture's numbers.
     let viewers = Viewers { layers: 1, ..setup.viewers(&views.cameras) };
-    for i in setup.views_judging(false) {
-        let photo = views.photos.of(i)?;
+    for i in setup.warming_views() {
+        let photo = views.photos.whole_of(i)?;
         let camera = &views.cameras[i];
         let color = |rgb| exposures.map_or(rgb, |exposures| exposures.undo(i, rgb));
         let is_seen = |face: &&mut Face| face.corners.iter().all(|p| Shell::is_seen(&viewers, i, *p, &bvh));

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{backdrop::painted, setup::Setup, start::in_charts, views::Views};
+use super::{backdrop::painted, setup::Setup, start::with_empty_maps, views::Views};
 use crate::{
     capture::{Capture, View},
     geometry::{ChartSpace, Contraction, GeometryError, Surface, Viewers},
@@ -35,7 +35,7 @@ pub(super) fn find_surface(
     let points = whereabouts(capture, training)?;
     let (surface, _) = fused::from_depths(&views.train_cameras, &points, o.triangles, o.planar, |i| {
         let mut depth = training.median_depth(&views.train_cameras[i])?;
-        cut_out::clear_unseen(&mut depth, &*photos.of(setup.train[i])?);
+        cut_out::clear_unseen(&mut depth, &*photos.whole_of(setup.train[i])?);
         Ok(depth)
     })?;
     Ok((textured(setup, views, training, surface)?, SurfaceOrigin::Splats))
@@ -44,18 +44,18 @@ pub(super) fn find_surface(
 /// Turns a surface into a mesh with empty maps; if there is a shell, what training views see past the surface is added
 /// on it and painted.
 fn textured(setup: &Setup, views: &Views, training: &Training, surface: Surface) -> Result<Mesh, TrainError> {
-    let charts_in = charts_in(setup, views, training)?;
-    let Some(shell) = &setup.shell else { return in_charts(setup, &surface, charts_in.as_ref()) };
+    let chart_space = chart_space(setup, views, training)?;
+    let Some(shell) = &setup.shell else { return with_empty_maps(setup, &surface, chart_space.as_ref()) };
     // Past the surface is where nothing of it is, whatever may show through.
     let viewers = Viewers { layers: 1, ..setup.viewers(&views.train_cameras) };
     let both = shell.around_surface(surface.clone(), &viewers);
     // Nothing is left if all of it is far away, and no two views see the same part of the shell.
     let surface = if both.triangles.is_empty() { surface } else { both };
-    painted(setup, views, in_charts(setup, &surface, charts_in.as_ref())?)
+    painted(setup, views, with_empty_maps(setup, &surface, chart_space.as_ref())?)
 }
 
 /// Space of charts, if not the world: in unbounded scenes and with a shell. By the present cameras.
-pub(super) fn charts_in(setup: &Setup, views: &Views, training: &Training) -> Result<Option<ChartSpace>, TrainError> {
+pub(super) fn chart_space(setup: &Setup, views: &Views, training: &Training) -> Result<Option<ChartSpace>, TrainError> {
     let (cameras, points) = (&views.train_cameras, whereabouts(setup.capture, training)?);
     let around = || Contraction::around(cameras, &points);
     Ok(match (Contraction::if_unbounded(cameras, &points)?, setup.shell) {

@@ -18,7 +18,7 @@ struct MaskBits {
 impl Masks {
     /// Of the training views, by their indices in the capture.
     pub(super) fn of(photos: &Photographs, train: &[usize]) -> Result<Self, CaptureError> {
-        let of_view = |&i: &usize| photos.of(i).map(|photo| photo.masked.then(|| MaskBits::of(&photo)));
+        let of_view = |&i: &usize| photos.whole_of(i).map(|photo| photo.masked.then(|| MaskBits::of(&photo)));
         let bits: Result<Vec<Option<MaskBits>>, CaptureError> = train.par_iter().map(of_view).collect();
         bits.map(Self)
     }

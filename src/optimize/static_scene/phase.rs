@@ -249,7 +249,7 @@ impl Run<'_> {
         let show = if phase == Phase::Warmup { Show::MeshesAlone } else { Show::All };
         let mut scores = vec![];
         for i in sampled(&self.setup.test) {
-            let photo = self.views.photos.of(i)?;
+            let photo = self.views.photos.whole_of(i)?;
             let picture = training.render(&self.views.cameras[i], composition.background, show)?;
             let comparison = Comparison::new(&photo, &picture, &composition);
             if !comparison.is_empty {

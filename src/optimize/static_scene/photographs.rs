@@ -60,7 +60,7 @@ impl<'a> Photographs<'a> {
     }
 
     /// Photograph of a view by its index in the capture, at its full size.
-    pub(super) fn of(&self, view: usize) -> Result<Arc<Photo>, CaptureError> {
+    pub(super) fn whole_of(&self, view: usize) -> Result<Arc<Photo>, CaptureError> {
         self.whole(&self.views[view])
     }
 

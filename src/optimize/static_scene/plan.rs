@@ -75,7 +75,7 @@ impl Plan {
 
     /// View of iteration `t`: every epoch is a permutation of the training views.
     pub(super) fn view_at(&self, setup: &Setup, t: u32) -> usize {
-        let mut order = if self.phase == Phase::Warmup { setup.views_judging(false) } else { setup.train.clone() };
+        let mut order = if self.phase == Phase::Warmup { setup.warming_views() } else { setup.train.clone() };
         let (n, age) = (order.len() as u32, self.clock + t);
         order.shuffle(&mut random::generator(setup.options.seed, Purpose::ViewOrder(self.phase), age / n));
         order[(age % n) as usize]

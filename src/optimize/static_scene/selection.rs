@@ -3,7 +3,7 @@
 
 use glam::Vec2;
 
-use super::{finding::charts_in, setup::Setup, views::Views};
+use super::{finding::chart_space, setup::Setup, views::Views};
 use crate::{
     geometry::{self, ChartSpace, Surface, UnwrappedMesh},
     optimize::{
@@ -50,7 +50,7 @@ pub(super) fn select_faces(
     training: &mut Training,
     mesh: &Mesh,
 ) -> Result<(Option<Mesh>, Selection), TrainError> {
-    let judges = setup.views_judging(true);
+    let judges = setup.judging_views();
     let (scores, seen) = score(views, setup.composition().background, training, mesh, &judges)?;
     let is_far: Vec<bool> = mesh.triangles().iter().map(|t| setup.is_of_shell(mesh, t)).collect();
     let least = least_views(&scores, &is_far, judges.len() < setup.train.len());
@@ -74,12 +74,12 @@ pub(super) fn select_faces(
     let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
     let share = (covered / seen.max(1.0)).min(1.0);
     let size = side_for(pixels, share, mesh.atlas(), setup.options.max_floats);
-    let charts_in = charts_in(setup, views, training)?;
+    let chart_space = chart_space(setup, views, training)?;
     // Texels in a budget compete with splats. Bands are coarser, and share texels across charts where gutters are
     // narrow.
     let narrow = setup.options.max_floats.is_some() && mesh.atlas().bands().is_none();
     let gutter = if narrow { 0 } else { geometry::WIDEST_GUTTER };
-    Ok((laid_out_anew(mesh, &keep, charts_in.as_ref(), size, gutter)?, selection))
+    Ok((laid_out_anew(mesh, &keep, chart_space.as_ref(), size, gutter)?, selection))
 }
 
 /// Scores of all triangles from these views over this background, and the number of pixels judged.
@@ -194,13 +194,13 @@ fn part(mesh: &Mesh, keep: &[bool]) -> Surface {
 fn laid_out_anew(
     mesh: &Mesh,
     keep: &[bool],
-    charts_in: Option<&ChartSpace>,
+    chart_space: Option<&ChartSpace>,
     size: u32,
     gutter: u32,
 ) -> Result<Option<Mesh>, TrainError> {
     let (part, uvs) = (geometry::compact(part(mesh, keep)), kept(mesh.corner_uvs(), keep));
     let anew = maps::with_room_for_charts(size, mesh.atlas().base().width(), |size| {
-        lay_out(geometry::unwrap(&part, charts_in, size, gutter)?, &uvs, mesh.atlas(), size)
+        lay_out(geometry::unwrap(&part, chart_space, size, gutter)?, &uvs, mesh.atlas(), size)
     });
     Ok(match or_why_not(anew)? {
         Ok(mesh) => Some(mesh),

@@ -70,16 +70,25 @@ impl Setup<'_> {
         }
     }
 
-    /// Training views that judge a made surface (`true`) or warm up its maps (`false`): every fourth judges, so that
-    /// maps which merely repeat the views they were made from are not taken for good. Splats have learnt from all. With
-    /// fewer than eight views all do both, as splats cannot spare any.
-    pub(super) fn views_judging(&self, judges: bool) -> Vec<usize> {
+    /// Training views that judge a made surface: every fourth, so that maps which merely repeat the views they were made
+    /// from are not taken for good. Splats have learnt from all.
+    pub(super) fn judging_views(&self) -> Vec<usize> {
+        self.part_of_views(true)
+    }
+
+    /// Training views that warm up the maps of a mesh: those that do not judge it.
+    pub(super) fn warming_views(&self) -> Vec<usize> {
+        self.part_of_views(false)
+    }
+
+    /// Training views that judge, or those that do not. With fewer than eight views all do both, as splats cannot spare
+    /// any; and a given mesh is not judged.
+    fn part_of_views(&self, judges: bool) -> Vec<usize> {
         if !self.finds_surface() || self.train.len() < 8 {
             return self.train.clone();
         }
-        let (judging, warming): (Vec<_>, Vec<_>) = self.train.iter().enumerate().partition(|(i, _)| i % 4 == 2);
-        let chosen = if judges { judging } else { warming };
-        chosen.into_iter().map(|(_, &view)| view).collect()
+        let part = self.train.iter().enumerate().filter(|(i, _)| (i % 4 == 2) == judges);
+        part.map(|(_, &view)| view).collect()
     }
 
     /// Who looks through these cameras at the scene, at all of their pictures and as many layers as are drawn.

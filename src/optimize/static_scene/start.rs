@@ -2,7 +2,7 @@
 
 use glam::Vec2;
 
-use super::{setup::Setup, views::Views};
+use super::{setup::Setup, unseen::without_unseen, views::Views};
 use crate::{
     capture::{Capture, View},
     geometry::{self, ChartSpace, Surface},
@@ -59,20 +59,29 @@ pub(super) fn splats(setup: &Setup, views: &Views, beside: &[Mesh], begins: bool
     Ok(all.check()?)
 }
 
-/// The user's mesh with empty maps, within the budget.
-pub(super) fn mesh(setup: &Setup, surface: Surface, corner_uvs: Option<Vec<[Vec2; 3]>>) -> Result<Mesh, TrainError> {
+/// The user's mesh with empty maps, within the budget, transparent where no training view sees it.
+pub(super) fn given_mesh(
+    setup: &Setup,
+    views: &Views,
+    surface: Surface,
+    corner_uvs: Option<Vec<[Vec2; 3]>>,
+) -> Result<Mesh, TrainError> {
     let mesh = match corner_uvs {
         Some(uvs) => maps::textured(surface, uvs, setup.options, setup.budget.texture_size())?,
-        None => in_charts(setup, &surface, None)?,
+        None => with_empty_maps(setup, &surface, None)?,
     };
     setup.budget.check(std::slice::from_ref(&mesh))?;
-    Ok(mesh)
+    without_unseen(setup, views, mesh)
 }
 
-/// The surface cut into charts, with empty maps that have room for them.
-pub(super) fn in_charts(setup: &Setup, surface: &Surface, charts_in: Option<&ChartSpace>) -> Result<Mesh, TrainError> {
+/// The surface cut into charts, in this space if not the world, with empty maps that have room for them.
+pub(super) fn with_empty_maps(
+    setup: &Setup,
+    surface: &Surface,
+    chart_space: Option<&ChartSpace>,
+) -> Result<Mesh, TrainError> {
     let (size, largest) = (setup.budget.texture_size(), setup.budget.largest_texture());
     maps::with_room_for_charts(size, largest, |size| {
-        maps::textured_as(geometry::unwrap(surface, charts_in, size, geometry::WIDEST_GUTTER)?, setup.options, size)
+        maps::textured_as(geometry::unwrap(surface, chart_space, size, geometry::WIDEST_GUTTER)?, setup.options, size)
     })
 }

@@ -76,8 +76,7 @@ fn with_mesh<T>(
     let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
     let source = MeshSource::Given { surface: surface.clone(), corner_uvs: None };
     let mut run = Run::new(&capture, options, &source, session).unwrap();
-    let mesh = start::mesh(&run.setup, surface, None).unwrap();
-    let mesh = unseen::without_unseen(&run.setup, &run.views, mesh).unwrap();
+    let mesh = start::given_mesh(&run.setup, &run.views, surface, None).unwrap();
     let splats = start::splats(&run.setup, &run.views, &[], true).unwrap();
     let scene = HybridScene { splats, meshes: vec![mesh], composition: run.setup.composition() };
     let mut training = run.training(&scene).unwrap();

@@ -27,7 +27,19 @@ pub(super) struct Views<'a> {
     pub(super) poses: Option<PoseState>,
 }
 
-impl Views<'_> {
+impl<'a> Views<'a> {
+    /// What is known before the first phase. `cameras` are those of all views, `train` the indices of the training
+    /// views.
+    pub(super) fn new(
+        photos: Photographs<'a>,
+        cameras: Vec<Camera>,
+        train: &[usize],
+        exposures: Option<ExposureState>,
+    ) -> Self {
+        let train_cameras = of_views(&cameras, train);
+        Self { photos, cameras, train_cameras, exposures, poses: None }
+    }
+
     /// Renders splats and mesh each alone from `views`, over this background. `use_view` gets, per view, the training,
     /// which has rendered the mesh last, the camera, and for every pixel the squared errors of mesh and splats (and a
     /// zero, for `Training::gather`); all three are zero in masked-out pixels.
@@ -40,7 +52,7 @@ impl Views<'_> {
     ) -> Result<(), TrainError> {
         for &i in views {
             let camera = &self.cameras[i];
-            let photo = self.photos.of(i)?;
+            let photo = self.photos.whole_of(i)?;
             let behind = self.exposed(i, background);
             let splats = training.render(camera, background, Show::SplatsAlone)?.rgb;
             let mesh = training.render(camera, background, Show::MeshesAlone)?.rgb;
@@ -65,7 +77,7 @@ impl Views<'_> {
         for &i in &setup.train {
             self.cameras[i] = poses.apply(i, &setup.capture.views[i].camera);
         }
-        self.train_cameras = setup.train.iter().map(|&i| self.cameras[i]).collect();
+        self.train_cameras = of_views(&self.cameras, &setup.train);
         self.poses = Some(poses);
     }
 
@@ -77,6 +89,11 @@ impl Views<'_> {
         };
         if self.poses.is_some() { setup.train.iter().map(of_view).collect() } else { vec![] }
     }
+}
+
+/// The cameras of these views.
+fn of_views(cameras: &[Camera], views: &[usize]) -> Vec<Camera> {
+    views.iter().map(|&i| cameras[i]).collect()
 }
 
 /// Up to four of the held-out views, evaluated while training.

@@ -80,7 +80,7 @@ impl<'g> LayeredRenderer<'g> {
     /// # Errors
     /// If the composition is not valid, or the adapter cannot hold the scene.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], model: ImageModel) -> Result<Self, GpuError> {
-        scene.composition.validate()?;
+        scene.composition.validate().map_err(GpuError::Scene)?;
         let front = Front::new(gpu, scene, 0, cameras, Purpose::Render(model), None)?;
         let parts = gpu.storage("parts of the picture", front.image.pixels * PARTS * 4)?;
         let words = PROGRESS * (1 + front.image.pixels);

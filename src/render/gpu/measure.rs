@@ -127,7 +127,7 @@ pub struct StepTimes {
 /// # Errors
 /// If the adapter fails, or the scene's composition is not valid.
 pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: usize) -> Result<StepTimes, GpuError> {
-    scene.composition.validate()?;
+    scene.composition.validate().map_err(GpuError::Scene)?;
     let truth = vec![128; camera.intrinsics().pixels() * 4];
     let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
     training.keep_photographs(truth.len() as u64);

@@ -19,7 +19,7 @@ impl<'g> Renderer<'g> {
     /// # Errors
     /// If the adapter cannot hold the scene, or its composition is not valid.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera]) -> Result<Self, GpuError> {
-        scene.composition.validate()?;
+        scene.composition.validate().map_err(GpuError::Scene)?;
         Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, None)? })
     }
 

@@ -267,12 +267,12 @@ impl<'a> Document<'a> {
         let mut plain_views = HashMap::new();
         let content = |i: usize| -> Option<&[u8]> { Some(buffers.get(i)?.as_ref()?.bytes()) };
         for view in decompress(root, content) {
-            match view.map_err(Fault::into_parts) {
+            match view {
                 Ok((view, bytes)) => drop(plain_views.insert(view, bytes)),
-                Err((Location::Pointer(at), expected, found)) => {
+                Err(Fault { location: Location::Pointer(at), expected, found }) => {
                     findings.error("VIEW_COMPRESSED", at, expected, found);
                 }
-                Err((location, expected, found)) => {
+                Err(Fault { location, expected, found }) => {
                     findings.error("VIEW_COMPRESSED", format!("/bufferViews: {location}"), expected, found);
                 }
             }

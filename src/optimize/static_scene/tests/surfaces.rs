@@ -21,7 +21,7 @@ fn without_points_splats_say_whether_there_are_bounds() {
         let scene =
             HybridScene { splats: splats.check().unwrap(), meshes: vec![], composition: run.setup.composition() };
         let training = run.training(&scene).unwrap();
-        assert_eq!(finding::charts_in(&run.setup, &run.views, &training).unwrap().is_some(), is_unbounded);
+        assert_eq!(finding::chart_space(&run.setup, &run.views, &training).unwrap().is_some(), is_unbounded);
     }
 }
 

@@ -80,7 +80,7 @@ pub enum GpuError {
     },
     /// The scene is not valid.
     #[error("the scene cannot be rendered: {0}")]
-    Scene(#[from] SceneError),
+    Scene(SceneError),
     /// A camera is larger than the renderer was made for.
     #[error("expected a picture no larger than those that the renderer was made for, found {width}×{height}")]
     ImageTooLarge {
