@@ -19,10 +19,10 @@ use crate::{
 /// Maps need not be perfect without view dependence: splats are added to them.
 const WORST_RATIO: f64 = 2.5;
 /// Fraction of a budget for maps, per fraction of the pictures that they cover …
-const MAPS_SHARE: f64 = 0.4;
+const MAPS_SHARE: f64 = 0.5;
 /// … and upper bound on it, apart from rounding to multiples of 32 and the room that charts need: with more, too few
 /// splats are left for what maps do not show (`docs/experiments.md`).
-const MOST_FOR_MAPS: f64 = 0.15;
+const MOST_FOR_MAPS: f64 = 0.18;
 /// Least size of a connected piece, pixels: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
 /// Assumed fraction of an atlas that charts cover, for choosing its size.
@@ -289,11 +289,11 @@ mod tests {
             Atlas::new(Texture::zeros(side, side, 4), bands).unwrap()
         };
         let (plain, floats) = (atlas(512, None), Some(600_000));
-        // With the mesh in all of the pictures, .15 of 600,000 floats are 150² texels of four floats; in a fifth of
-        // them, .08 are 110².
-        assert_eq!([1.0, 0.2].map(|share| side_for(1e6, share, &plain, floats)), [160, 96]);
-        // Bands of nine floats per 16 colour texels are taken from the same share: 140².
-        assert_eq!(side_for(1e6, 1.0, &atlas(512, Some(128)), floats), 128);
+        // With the mesh in all of the pictures, .18 of 600,000 floats are 164² texels of four floats; in a fifth of
+        // them, .1 are 122².
+        assert_eq!([1.0, 0.2].map(|share| side_for(1e6, share, &plain, floats)), [160, 128]);
+        // Bands of nine floats per 16 colour texels are taken from the same share: 154².
+        assert_eq!(side_for(1e6, 1.0, &atlas(512, Some(128)), floats), 160);
         // With enough room there are two texels per pixel, and charts cover three fifths: 20,000 pixels need 258²
         // texels.
         assert_eq!((side_for(2e4, 1.0, &plain, None), side_for(2e4, 1.0, &plain, Some(10_000_000))), (256, 256));
