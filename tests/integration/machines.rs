@@ -26,8 +26,16 @@ fn folders_that_take_no_files() {
 fn threads_that_cannot_be_started() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = Command::new("sh");
-    command.args(["-c", "ulimit -v 500000; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_centaur"), "inspect", "scene.glb"]);
-    let line = failure(folder.path(), command.current_dir(folder.path()).env("RAYON_NUM_THREADS", "1000"));
+    command.args([
+        "-c",
+        "ulimit -v 4000000; exec \"$0\" \"$@\"",
+        env!("CARGO_BIN_EXE_centaur"),
+        "inspect",
+        "scene.glb",
+    ]);
+    // Stacks of 1 GiB, so that there is memory left for everything else when there is none for another thread.
+    command.env("RAYON_NUM_THREADS", "1000").env("RUST_MIN_STACK", (1 << 30).to_string());
+    let line = failure(folder.path(), command.current_dir(folder.path()));
     assert!(line.starts_with("error: cannot start a thread for every core; RAYON_NUM_THREADS=4, say, "), "{line}");
 }
 
