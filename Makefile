@@ -37,7 +37,7 @@ export CENTAUR_GSPLAT_FIXTURE ?= target/oracles/gsplat.safetensors
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .PHONY: crosscheck crosscheck-quick crosscheck-quick-setup help build demo test lint fmt clippy doc test-rust test-data test-python test-end-to-end left-out test-oracles bench demo-capture \
-	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm oracle-composition-setup oracle-usd-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-ffmpeg oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz always
+	clean-out system oracle-gsplat lpips-weights oracle-lpips oracle-flip bench-ray bench-ray-setup bench-slurm oracle-composition-setup oracle-usd-setup ablations equal-floats order-modes scales unbounded-captures test-geometry oracle-colmap oracle-gltf captures oracle-splat-transform oracle-ffmpeg oracle-usd oracle-tint oracle-composition crosscheck-blender convert-times fuzz check-windows always
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -112,7 +112,7 @@ test-end-to-end: ## the program on this machine's adapter: train, eval, render, 
 	test -s $(END_TO_END)/report/report.html
 
 # Checks that need more than `make test` does. CI names those that it RAN.
-CHECKS := $(shell sed -En 's/^(oracle-[a-z-]+|crosscheck[a-z-]*|bench-[a-z]+|test-geometry|fuzz):.*\#\# .*/\1/p' Makefile)
+CHECKS := $(shell sed -En 's/^(oracle-[a-z-]+|crosscheck[a-z-]*|bench-[a-z]+|check-windows|test-geometry|fuzz):.*\#\# .*/\1/p' Makefile)
 RAN ?=
 left-out:
 	@scripts/ignored-tests.sh $(if $(CENTAUR_DATA),"needs shared data") $(if $(filter oracle-usd,$(RAN)),"needs usd-core: make test-oracles") \
@@ -200,6 +200,13 @@ oracle-splat-transform: ## compare splats that we convert with splat-transform, 
 oracle-ffmpeg: ## check films of `centaur render --video` made by the real ffmpeg (Debian's ffmpeg, as root)
 	@command -v ffmpeg >/dev/null && command -v ffprobe >/dev/null || scripts/install.sh ffmpeg
 	$(call IGNORED_TESTS,films)
+
+# Its C and C++ parts are compiled by MinGW.
+check-windows: ## compile the program and all tests for Windows (rustup; Debian's MinGW, as root; 4 minutes)
+	@command -v x86_64-w64-mingw32-g++-posix >/dev/null || scripts/install.sh g++-mingw-w64-x86-64-posix
+	rustup target add x86_64-pc-windows-gnu
+	CC_x86_64_pc_windows_gnu=x86_64-w64-mingw32-gcc-posix CXX_x86_64_pc_windows_gnu=x86_64-w64-mingw32-g++-posix \
+		cargo check --locked --all-targets --target x86_64-pc-windows-gnu
 
 oracle-usd: $(ORACLES_USD)/installed ## compare USD that we read and write with usd-core
 	CENTAUR_USD_PYTHON="$(abspath $(ORACLES_USD)/bin/python)" $(call IGNORED_TESTS,usd_oracle)
