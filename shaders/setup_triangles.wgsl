@@ -74,7 +74,6 @@ fn setup(
     box = include_edge(box, b, c);
     box = include_edge(box, c, a);
     let size = vec2f(view.size);
-    // Also false for NaN.
     if !(all(box.high >= vec2f(0.0)) && all(box.low < size)) { return; }
     // Only pixel centres count, half a pixel inside their bin, which gives a margin for rounding at no cost.
     let first = vec2u(max(box.low, vec2f(0.0))) / BIN;

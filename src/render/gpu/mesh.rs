@@ -115,8 +115,8 @@ fn most_bins(gpu: &Gpu) -> usize {
 const MOST_BINNING_THREADS: usize = 1 << 31;
 
 /// Number of threads among which the rows of each triangle are divided, `most_bins` of a picture's bins to each. For
-/// very many triangles in a very large picture there are fewer, with more bins to each; software adapters, where that
-/// may be too many ([`Gpu::loop_passes`]), cannot bind lists of so many triangles.
+/// very many triangles in a very large picture there are fewer, with more bins to each; Mesa's software adapter, where
+/// that may be too many ([`Gpu::loop_passes`]), cannot bind lists of so many triangles.
 pub(super) fn binning_shares(triangles: usize, bins: usize, most_bins: usize) -> usize {
     bins.div_ceil(most_bins).min(MOST_BINNING_THREADS / triangles.max(1)).max(1)
 }

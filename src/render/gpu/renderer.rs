@@ -60,7 +60,8 @@ impl<'g> Renderer<'g> {
         for _ in 0..frames.max(1) {
             self.submit(camera)?;
         }
-        self.gpu.wait()?;
+        // Waits, and unlike a wait finds out about aborted work.
+        self.pipeline.front.lists.read_counts(self.gpu)?;
         Ok(start.elapsed().as_secs_f64() / f64::from(frames.max(1)))
     }
 

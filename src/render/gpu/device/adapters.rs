@@ -65,6 +65,7 @@ const WORKGROUP_BYTES: u32 = 16384;
 
 /// Threads of the largest workgroups, which all have one dimension.
 const WORKGROUP_THREADS: u32 = 256;
+
 /// Uniform buffers needed: those of the kernels that bind most (such as `loss.wgsl`).
 const UNIFORM_BUFFERS: u32 = 2;
 

@@ -35,6 +35,11 @@ impl Gpu {
         self.epoch.stage.get_or_init(new)
     }
 
+    /// Bytes of the adapter's count, 0 where passes are not counted.
+    pub(super) fn epoch_bytes(&self) -> u64 {
+        if self.counts_passes { 4 } else { 0 }
+    }
+
     /// Submits commands with this many counted passes. Returns what the adapter has counted after them unless something
     /// was aborted.
     pub(super) fn submit(&self, commands: wgpu::CommandBuffer, passes: u32) -> u32 {

@@ -8,7 +8,7 @@ pub(crate) struct Frame<'a> {
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
     timer: Option<&'a mut Timer>,
-    /// Passes recorded that the adapter counts (`epoch.rs`): all but those that time a dispatch.
+    /// Passes recorded that the adapter counts (`epoch.rs`).
     counted: u32,
     #[cfg(test)]
     dispatches: usize,
@@ -53,10 +53,12 @@ impl<'a> Frame<'a> {
 
     /// Pass for the next dispatch; with a timer, one for it alone, timed as `label`.
     fn open_pass(&mut self, label: &str) -> &mut wgpu::ComputePass<'static> {
+        if self.timer.as_ref().is_some_and(|timer| timer.has_room()) {
+            self.end_pass();
+        }
         if let Some(timer) = &mut self.timer
-            && timer.labels.len() < Timer::CAPACITY
+            && timer.has_room()
         {
-            self.pass = None;
             let i = 2 * timer.labels.len() as u32;
             timer.labels.push(label.to_owned());
             let pass = self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
@@ -113,9 +115,9 @@ impl<'a> Frame<'a> {
         self.encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, from.raw.size());
     }
 
-    /// Ends the open pass, if there is one, and has it counted unless it times a dispatch.
+    /// Ends the open pass, if there is one, and has it counted.
     fn end_pass(&mut self) {
-        if self.pass.is_some() && self.timer.is_none() {
+        if self.pass.is_some() {
             self.count_pass();
         }
         self.pass = None;
@@ -136,9 +138,6 @@ impl<'a> Frame<'a> {
 
     /// Ends what is to be submitted together, with a pass that is counted, and resolves its times.
     fn close(&mut self) {
-        if self.timer.is_some() {
-            self.pass = None;
-        }
         self.count_pass();
         self.pass = None;
         if let Some(timer) = &mut self.timer {
@@ -172,8 +171,9 @@ impl Gpu {
         Frame::new(self).submit();
     }
 
-    /// Submits copies to `staging`, one behind the other: of this many bytes from the start of each buffer, and of the
-    /// word that is the number of passes that ran. Returns what that is unless a submission was aborted.
+    /// Submits copies to `staging`, one behind the other: of this many bytes from the start of each buffer, and where
+    /// passes are counted of the word that is the number of those that ran. Returns what that is unless a submission
+    /// was aborted.
     pub(super) fn submit_copies<'b>(
         &'b self,
         parts: impl Iterator<Item = (&'b wgpu::Buffer, u64)>,
@@ -183,7 +183,8 @@ impl Gpu {
         frame.close();
         let Frame { mut encoder, counted, .. } = frame;
         let mut offset = 0;
-        for (buffer, bytes) in parts.chain([(self.epoch.raw(), 4)]) {
+        let ran = self.counts_passes.then(|| (self.epoch.raw(), self.epoch_bytes()));
+        for (buffer, bytes) in parts.chain(ran) {
             encoder.copy_buffer_to_buffer(buffer, 0, staging, offset, bytes);
             offset += bytes;
         }
@@ -204,6 +205,11 @@ pub(crate) struct Timer {
 
 impl Timer {
     const CAPACITY: usize = 512;
+
+    /// Whether one more dispatch can be timed.
+    fn has_room(&self) -> bool {
+        self.labels.len() < Self::CAPACITY
+    }
 
     /// A timer; `None` if the adapter has no timestamps.
     pub(crate) fn new(gpu: &Gpu) -> Option<Self> {

@@ -48,7 +48,7 @@ impl Kernel {
 
     fn compile(gpu: &Gpu, file: &str, entry: &str, defines: &Defines) -> Self {
         let mut wgsl = shader::preprocess(file, defines);
-        if gpu.profile.is_cpu {
+        if gpu.loop_passes.is_some() {
             // Mesa's software adapter compiles uniforms that decide on branches and loops into the code, anew for every
             // run. It does not do so with storage.
             wgsl = wgsl.replace("var<uniform>", "var<storage, read>");

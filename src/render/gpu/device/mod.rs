@@ -222,7 +222,7 @@ impl Gpu {
     }
 
     /// The first error the driver reported outside a call that returns one. Lack of memory is told once: there may be
-    /// enough later.
+    /// enough later (on Metal, where passes are counted, reads fail once a frame was dropped for it).
     ///
     /// # Errors
     /// That error.

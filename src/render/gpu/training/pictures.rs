@@ -40,6 +40,7 @@ impl Training<'_> {
             // Splats out of view would otherwise keep sums of another view.
             frame.clear(self.backward.moments().0);
             self.pipeline.record(self.gpu, &mut frame, &view);
+            frame.split();
             self.backward.record_blend(&mut frame, &view);
             frame.submit();
             if !self.grow_after_frame()? {
