@@ -117,8 +117,8 @@ pub struct TrainOptions {
     /// Side of the DC + opacity atlas, texels; the atlas of higher bands has a quarter. By default the least power of
     /// two from one and a half times the longer side of the images, clamped to 128 to 2048: all views together see more
     /// than one. The warm-up of a surface made from the capture uses this size; the surface is then packed again, at
-    /// about two texels per pixel and no larger. Of a budget of floats it gets three quarters of the fraction of the
-    /// pictures that it covers, at most some three tenths.
+    /// about two texels per pixel and no larger. Of a budget of floats it gets half of the fraction of the pictures that
+    /// it covers, and no more than about a sixth unless its maps alone show held-back views better than splats alone.
     pub texture_size: Option<u32>,
     /// SH degree of the mesh: 2 (HERA does not say).
     pub band_degree: u32,

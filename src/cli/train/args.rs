@@ -226,8 +226,9 @@ pub(in crate::cli) struct Args {
     /// [default: 1.5 times the longer image side, rounded up to a power of two, 128 to 2048]
     ///
     /// For a surface made from the capture, this is the maximum: its kept triangles get about two texels per pixel, and
-    /// all maps together about a sixth of --max-floats or --budget-mb. Maps that keep their first layout (--mesh,
-    /// --warmup 0) take at most half of such a budget, if their charts then still have room.
+    /// all maps together about a sixth of --max-floats or --budget-mb, or up to half where maps show held-back views
+    /// better than splats. Maps that keep their first layout (--mesh, --warmup 0) take at most half of such a budget,
+    /// if their charts then still have room.
     #[arg(long, value_name = "TEXELS", help_heading = MESH, value_parser = clap::value_parser!(u32).range(16..=i64::from(TrainOptions::LARGEST_TEXTURE)))]
     pub(super) texture_size: Option<u32>,
     /// Degree of the spherical harmonics of the mesh; 0 for no view dependence (our choice; HERA does not state it)

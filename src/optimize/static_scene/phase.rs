@@ -192,7 +192,7 @@ impl Run<'_> {
         if !is_due(age, epoch_length) {
             return Ok(());
         }
-        if self.setup.options.exposure && plan.phase != Phase::Warmup {
+        if self.setup.learns_exposures(plan.phase) {
             let mut state = training.read_exposures()?.unwrap_or_default();
             state.center(&self.setup.train);
             training.expose(&state)?;

@@ -155,8 +155,8 @@ impl Plan {
 
     /// Whose exposure counts, and how it moves, with splats of this age.
     fn exposure_step(&self, setup: &Setup, view: usize, age: u32) -> Option<ExposureStep> {
-        // In the warm-up few of the views are seen, and maps follow those.
-        let rate = if self.phase == Phase::Warmup { 0.0 } else { self.schedule.exposure_rate(age, setup.train.len()) };
+        let learns = setup.learns_exposures(self.phase);
+        let rate = if learns { self.schedule.exposure_rate(age, setup.train.len()) } else { 0.0 };
         setup.options.exposure.then_some(ExposureStep { view, rate })
     }
 

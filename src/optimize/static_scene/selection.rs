@@ -20,8 +20,8 @@ use crate::{
 const WORST_RATIO: f64 = 2.5;
 /// Fraction of a budget for maps, per fraction of the pictures that they cover …
 const MAPS_SHARE: f64 = 0.5;
-/// … and upper bound on it, apart from rounding to multiples of 32 and the room that charts need: with more, too few
-/// splats are left for what maps do not show (`docs/experiments.md`).
+/// … and upper bound on it where maps alone are no better than splats alone, apart from rounding to multiples of 32 and
+/// the room that charts need: with more, too few splats are left for what maps do not show (`docs/experiments.md`).
 const MOST_FOR_MAPS: f64 = 0.18;
 /// Least size of a connected piece, pixels: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
@@ -53,7 +53,8 @@ pub(super) fn select_faces(
     let judges = setup.judging_views();
     let (scores, seen) = score(views, setup.composition().background, training, mesh, &judges)?;
     let is_far: Vec<bool> = mesh.triangles().iter().map(|t| setup.is_of_shell(mesh, t)).collect();
-    let least = least_views(&scores, &is_far, judges.len() < setup.train.len());
+    let are_held_back = judges.len() < setup.train.len();
+    let least = least_views(&scores, &is_far, are_held_back);
     let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)).zip(&least))
         .map(|((s, [maps, splats]), least)| s.views >= *least && maps <= WORST_RATIO * splats)
         .collect();
@@ -72,8 +73,10 @@ pub(super) fn select_faces(
     }
     let pixels: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels_per_view()).sum();
     let covered: f64 = scores.iter().zip(&keep).filter(|s| *s.1).map(|s| s.0.pixels).sum();
-    let share = (covered / seen.max(1.0)).min(1.0);
-    let size = side_for(pixels, share, mesh.atlas(), setup.options.max_floats);
+    // Views that maps were made from flatter them.
+    let ratio = if are_held_back { error_ratio(&scores, &keep) } else { 1.0 };
+    let part = part_for_maps((covered / seen.max(1.0)).min(1.0), ratio);
+    let size = side_for(pixels, part, mesh.atlas(), setup.options.max_floats);
     let chart_space = chart_space(setup, views, training)?;
     // Texels in a budget compete with splats. Bands are coarser, and share texels across charts where gutters are
     // narrow.
@@ -119,14 +122,24 @@ impl Score {
     }
 }
 
+/// Squared error of the maps alone relative to that of the splats alone, over the triangles that stay.
+fn error_ratio(scores: &[Score], keep: &[bool]) -> f64 {
+    let sum = |k: usize| scores.iter().zip(keep).filter(|s| *s.1).map(|s| s.0.errors[k]).sum::<f64>();
+    sum(0) / sum(1).max(f64::MIN_POSITIVE)
+}
+
+/// Part of a budget for maps that cover this `share` of the pictures: in proportion to it, since where splats are
+/// sparse, so are texels, up to a limit, which is higher where maps are better than splats by this ratio of their
+/// errors.
+fn part_for_maps(share: f64, error_ratio: f64) -> f64 {
+    (MAPS_SHARE * share).min(MOST_FOR_MAPS / error_ratio.min(1.0).powi(2))
+}
+
 /// Side of new maps, texels, a multiple of 32 so that mip levels go as deep as gutters separate charts: for triangles
-/// covering this many `pixels`, within the budget. Maps get a part of a budget in proportion to the `share` of the
-/// pictures that they cover, up to a limit: where splats are sparse, so are texels. At least 64 and at most the side of
-/// the old maps.
-fn side_for(pixels: f64, share: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
+/// covering this many `pixels`, within this `part` of the budget. At least 64 and at most the side of the old maps.
+fn side_for(pixels: f64, part: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
     let largest = before.base().width();
     let per_texel = MapLayout { side: largest, degree: before.sh_degree() }.floats_per_texel();
-    let part = (MAPS_SHARE * share).min(MOST_FOR_MAPS);
     let affordable = max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
     let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
     ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest)
@@ -289,17 +302,29 @@ mod tests {
             Atlas::new(Texture::zeros(side, side, 4), bands).unwrap()
         };
         let (plain, floats) = (atlas(512, None), Some(600_000));
-        // With the mesh in all of the pictures, .18 of 600,000 floats are 164² texels of four floats; in a fifth of
-        // them, .1 are 122².
-        assert_eq!([1.0, 0.2].map(|share| side_for(1e6, share, &plain, floats)), [160, 128]);
-        // Bands of nine floats per 16 colour texels are taken from the same share: 154².
-        assert_eq!(side_for(1e6, 1.0, &atlas(512, Some(128)), floats), 160);
+        // .18 of 600,000 floats are 164² texels of four floats, .1 are 122².
+        assert_eq!([0.18, 0.1].map(|part| side_for(1e6, part, &plain, floats)), [160, 128]);
+        // Bands of nine floats per 16 colour texels are taken from the same part: 154².
+        assert_eq!(side_for(1e6, 0.18, &atlas(512, Some(128)), floats), 160);
         // With enough room there are two texels per pixel, and charts cover three fifths: 20,000 pixels need 258²
         // texels.
-        assert_eq!((side_for(2e4, 1.0, &plain, None), side_for(2e4, 1.0, &plain, Some(10_000_000))), (256, 256));
+        assert_eq!((side_for(2e4, 0.18, &plain, None), side_for(2e4, 0.18, &plain, Some(10_000_000))), (256, 256));
         // Neither more texels than before, nor too few for charts.
-        assert_eq!((side_for(1e9, 1.0, &plain, None), side_for(0.0, 0.0, &plain, floats)), (512, 64));
-        assert_eq!(side_for(1.0, 1.0, &atlas(32, None), floats), 32);
+        assert_eq!((side_for(1e9, 0.18, &plain, None), side_for(0.0, 0.0, &plain, floats)), (512, 64));
+        assert_eq!(side_for(1.0, 0.18, &atlas(32, None), floats), 32);
+    }
+
+    #[test]
+    fn maps_better_than_splats_get_more_but_no_more_than_they_cover() {
+        let score = |maps, splats| Score { errors: [maps, splats], ..Score::default() };
+        let scores = [score(1.0, 4.0), score(9.0, 1.0), score(3.0, 4.0)];
+        assert_eq!(error_ratio(&scores, &[true, false, true]), 0.5);
+        assert_eq!([0.2, 1.0].map(|share| part_for_maps(share, 1.0)), [0.1, 0.18]);
+        // Worse ones get no less, …
+        assert_eq!(part_for_maps(1.0, 2.0), 0.18);
+        // … better ones up to half of the budget.
+        assert!((part_for_maps(1.0, 0.75) - 0.32).abs() < 1e-12);
+        assert_eq!([0.0, 0.5].map(|ratio| part_for_maps(0.8, ratio)), [0.4; 2]);
     }
 
     #[test]

@@ -52,6 +52,12 @@ impl Setup<'_> {
         self.identity.finds_surface
     }
 
+    /// Whether exposures are learnt in this phase: not in the warm-up of a surface made from the capture, which sees a
+    /// part of the views and has exposures from the phase before.
+    pub(super) fn learns_exposures(&self, phase: Phase) -> bool {
+        self.options.exposure && (phase != Phase::Warmup || !self.finds_surface())
+    }
+
     /// Whether poses are refined in this phase: only without a mesh, whose gradients with respect to the pose are not
     /// computed.
     pub(super) fn refines_poses(&self, phase: Phase) -> bool {

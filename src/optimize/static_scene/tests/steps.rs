@@ -2,7 +2,10 @@
 
 use super::{plan::Plan, *};
 use crate::{
-    optimize::{Background, schedule},
+    optimize::{
+        Background,
+        schedule::{self, Schedule},
+    },
     render::gpu::{
         exposure::ExposureStep,
         loss::{LossValues, TruthAlpha},
@@ -173,12 +176,16 @@ fn options_reach_the_step() {
     assert!(next.0 != first.0.seed && next.1 != first.4);
 }
 
-/// Exposures are fixed in the warm-up; poses are optimised until there is a mesh.
+/// Exposures are fixed in the warm-up of a found surface; poses are optimised until there is a mesh.
 #[test]
 fn exposures_and_poses_move_in_their_phases() {
     use Phase::{Joint, Surface, Warmup};
     let stand = Stand::new();
     let options = TrainOptions { exposure: true, refine_poses: true, pose_reach: 0.9, ..tenth() };
+    stand.step(&TrainOptions { refine_poses: false, ..options.clone() }, &square(), (Warmup, 500), |_, plan, step| {
+        assert_eq!(step.exposure, Some(ExposureStep { view: 2, rate: Schedule::new(900).exposure_rate(500, 3) }));
+        assert_eq!(plan.iterations, 900);
+    });
     for (source, phase, age, is_posed) in [
         (MeshSource::None, Joint, Some(500), true),
         (MeshSource::Splats, Surface, Some(500), true),
