@@ -43,6 +43,11 @@ impl ListEdit {
             Self::Reorder => "reorder",
         }
     }
+
+    /// Whether it adds items. Others change items of weaker layers only.
+    fn adds(self) -> bool {
+        !matches!(self, Self::Delete | Self::Reorder)
+    }
 }
 
 /// Specifier of a prim.
@@ -106,11 +111,47 @@ pub(super) enum PropertyKind {
         value: Option<Value>,
         /// Values by time code, in the file's order.
         samples: Vec<(f64, Value)>,
-        connections: Option<(Option<ListEdit>, Vec<String>)>,
+        connections: Option<Targets>,
     },
     Relationship {
-        targets: Option<(Option<ListEdit>, Vec<String>)>,
+        targets: Option<Targets>,
     },
+}
+
+/// Paths to which a relationship or a connection leads, and the list edit by which they are stated.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Targets {
+    pub(super) edit: Option<ListEdit>,
+    pub(super) paths: Vec<String>,
+}
+
+impl Targets {
+    /// Paths stated without a list edit.
+    pub(super) fn explicit(paths: Vec<String>) -> Self {
+        Self { edit: None, paths }
+    }
+
+    /// First path to which they lead.
+    fn first(&self) -> Option<&str> {
+        self.paths.first().filter(|_| self.edit.is_none_or(ListEdit::adds)).map(String::as_str)
+    }
+
+    /// Place of the paths in the list to which all edits of a layer lead, from the front.
+    fn place(&self) -> u8 {
+        match self.edit {
+            None | Some(ListEdit::Prepend) => 0,
+            Some(ListEdit::Add) => 1,
+            Some(ListEdit::Append) => 2,
+            Some(ListEdit::Delete | ListEdit::Reorder) => 3,
+        }
+    }
+
+    /// Merges a later statement about the same property: the one in front is kept, as only the first path is read.
+    pub(super) fn merge(&mut self, later: Self) {
+        if later.place() <= self.place() {
+            *self = later;
+        }
+    }
 }
 
 /// Value. Those of attributes with a numeric type are flat: `[(1, 2, 3)]` of `point3f[]` is `Floats([1, 2, 3])`.
@@ -264,7 +305,7 @@ impl Prim {
 
     /// Adds an attribute connected to another one as its source.
     pub(super) fn connect(&mut self, type_name: &str, name: &str, source: String) {
-        self.add(type_name, name, None, Some((None, vec![source])));
+        self.add(type_name, name, None, Some(Targets::explicit(vec![source])));
     }
 
     fn add(
@@ -272,7 +313,7 @@ impl Prim {
         type_name: &str,
         name: &str,
         value: Option<Value>,
-        connections: Option<(Option<ListEdit>, Vec<String>)>,
+        connections: Option<Targets>,
     ) -> &mut Property {
         let kind = PropertyKind::Attribute { type_name: type_name.to_owned(), value, samples: vec![], connections };
         self.properties.push(Property { name: name.to_owned(), custom: false, uniform: false, kind, metadata: vec![] });
@@ -281,7 +322,7 @@ impl Prim {
 
     /// Adds a relationship to one target.
     pub(super) fn relate(&mut self, name: &str, target: String) {
-        let kind = PropertyKind::Relationship { targets: Some((None, vec![target])) };
+        let kind = PropertyKind::Relationship { targets: Some(Targets::explicit(vec![target])) };
         self.properties.push(Property { name: name.to_owned(), custom: false, uniform: false, kind, metadata: vec![] });
     }
 
@@ -293,6 +334,11 @@ impl Prim {
 
     pub(super) fn property(&self, name: &str) -> Option<&Property> {
         self.properties.iter().find(|p| p.name == name)
+    }
+
+    /// Text in the metadata `name` of a property.
+    pub(super) fn stated(&self, property: &str, name: &str) -> Option<&str> {
+        field(&self.property(property)?.metadata, name)?.as_text()
     }
 
     /// Value of an attribute; of an animated one without a default, the first sample. `None` if there is no value, or
@@ -329,13 +375,13 @@ impl Prim {
     /// Source to which an attribute is connected.
     pub(super) fn connection(&self, name: &str) -> Option<&str> {
         let PropertyKind::Attribute { connections, .. } = &self.property(name)?.kind else { return None };
-        connections.as_ref()?.1.first().map(String::as_str)
+        connections.as_ref()?.first()
     }
 
     /// First target of a relationship.
     pub(super) fn target(&self, name: &str) -> Option<&str> {
         let PropertyKind::Relationship { targets } = &self.property(name)?.kind else { return None };
-        targets.as_ref()?.1.first().map(String::as_str)
+        targets.as_ref()?.first()
     }
 }
 
@@ -369,6 +415,14 @@ fn between<'a>(type_name: &str, first: &'a Value, second: &Value, u: f64) -> Cow
 }
 
 impl Property {
+    /// Name of the metadata with which a binary layer stores a spline. Splines are not read.
+    pub(super) const SPLINE: &str = "spline";
+
+    /// Whether a spline animates the attribute.
+    pub(super) fn has_spline(&self) -> bool {
+        field(&self.metadata, Self::SPLINE).is_some()
+    }
+
     pub(super) fn with(&mut self, name: &str, value: Value) -> &mut Self {
         self.metadata.push(Field { edit: None, name: name.to_owned(), value });
         self

@@ -221,6 +221,23 @@ impl<'a> Cursor<'a> {
         Some(())
     }
 
+    /// Skips a block in braces, whatever it contains. Braces in strings, asset paths and comments do not count.
+    pub(super) fn skip_block(&mut self) -> Result<(), Fault> {
+        self.expect(b'{')?;
+        let mut open = 1_usize;
+        while open > 0 {
+            match self.peek()?.ok_or_else(|| self.fault("`}`"))? {
+                b'"' | b'\'' => drop(self.string()?),
+                b'@' => drop(self.asset()?),
+                byte => {
+                    open = if byte == b'{' { open + 1 } else { open - usize::from(byte == b'}') };
+                    self.at += 1;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Parses an asset path, `@path@` or `@@@path@@@`.
     pub(super) fn asset(&mut self) -> Result<String, Fault> {
         let start = self.at;

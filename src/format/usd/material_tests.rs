@@ -258,6 +258,83 @@ def Mesh "M" {
     assert_eq!([color(blue), color(red)].map(|rgb| rgb.map(f32::round)), [[0., 0., 1.], [1., 0., 0.]]);
 }
 
+#[test]
+fn the_stronger_binding_counts_and_a_deletion_is_none() {
+    let material = |name: &str, rgb: &str| {
+        let shader = format!("uniform token info:id = \"UsdPreviewSurface\" color3f inputs:diffuseColor = {rgb}");
+        let surface = format!("token outputs:surface.connect = </{name}/S.outputs:surface>");
+        format!("def Material \"{name}\" {{ {surface}\n def Shader \"S\" {{ {shader} }} }}\n")
+    };
+    let materials = [("Red", "(1, 0, 0)"), ("Green", "(0, 1, 0)"), ("Blue", "(0, 0, 1)")];
+    let materials = materials.map(|(name, rgb)| material(name, rgb)).concat();
+    let colors = |strength: &str, own: &str, of_part: &str| {
+        let file = read_text(&format!(
+            r#"( metersPerUnit = 1 )
+{materials}
+def Xform "P" {{
+    rel material:binding = </Blue> {strength}
+    def Mesh "M" {{
+        int[] faceVertexCounts = [3, 3]
+        int[] faceVertexIndices = [0, 1, 2, 1, 3, 2]
+        point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]
+        uniform token subdivisionScheme = "none"
+        {own}
+        def GeomSubset "A" {{ int[] indices = [1] {of_part} }}
+    }}
+}}
+"#
+        ));
+        let color = |mesh: &crate::scene::Mesh| sh::rgb_from_dc(mesh.atlas().base().texels()[..3].try_into().unwrap());
+        file.scene.meshes.iter().map(|mesh| color(mesh).map(f32::round)).collect::<Vec<_>>()
+    };
+    let [red, green, blue]: [[f32; 3]; 3] = [[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
+    let [to_red, to_green] = ["rel material:binding = </Red>", "rel material:binding = </Green>"];
+    let of_strength = |strength: &str| format!("( bindMaterialAs = \"{strength}ThanDescendants\" )");
+    assert_eq!(colors("", to_red, ""), [red]);
+    assert_eq!(colors("", &format!("delete {to_red}"), &format!("delete {to_green}")), [blue]);
+    assert_eq!(colors(&of_strength("weaker"), to_red, to_green), [red, green]);
+    assert_eq!(colors(&of_strength("stronger"), to_red, to_green), [blue]);
+    assert_eq!(colors("", &format!("{to_red} {}", of_strength("stronger")), to_green), [red]);
+}
+
+/// Values are in hundredths: RGB as shown, and opacity.
+#[test]
+fn colours_of_meshes_are_inherited_and_averaged() {
+    let shown = |above: &str, own: &str| {
+        let file = read_text(&format!(
+            r#"( metersPerUnit = 1 )
+def Xform "P" {{
+    {above}
+    def Mesh "M" {{
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+        uniform token subdivisionScheme = "none"
+        {own}
+    }}
+}}
+"#
+        ));
+        let texel = file.scene.meshes[0].atlas().base().texels();
+        let [r, g, b] = sh::rgb_from_dc(texel[..3].try_into().unwrap());
+        let opacity = 1.0 / (1.0 + (-texel[3]).exp());
+        let is_mean = file.notes[0].ends_with("is shown in one colour, the mean of several");
+        ([r, g, b, opacity].map(|v| (100.0 * v).round()), is_mean)
+    };
+    let colors = |values: &str, more: &str| format!("color3f[] primvars:displayColor = {values} {more}\n");
+    let red = colors("[(1, 0, 0)]", "");
+    assert_eq!(shown("", ""), ([50.0, 50.0, 50.0, 100.0], false));
+    assert_eq!(shown(&red, "float[] primvars:displayOpacity = [0.25]"), ([100.0, 0.0, 0.0, 25.0], false));
+    assert_eq!(shown(&red, &colors("None", "")), ([100.0, 0.0, 0.0, 100.0], false));
+    // Only constant primvars are inherited.
+    let of_points = colors("[(1, 0, 0), (0, 1, 0), (0, 0, 1)]", "( interpolation = \"vertex\" )");
+    assert_eq!(shown(&of_points, ""), ([50.0, 50.0, 50.0, 100.0], false));
+    let indexed = |indices: &str| format!("{of_points} int[] primvars:displayColor:indices = {indices}");
+    assert_eq!(shown(&red, &indexed("[2, 2, 2]")), ([0.0, 0.0, 100.0, 100.0], false));
+    // Half red and half green, in linear light; one index is beyond the values.
+    assert_eq!(shown("", &indexed("[0, 1, 9]")), ([74.0, 74.0, 0.0, 100.0], true));
+}
+
 /// Their colours cannot be evaluated; the note names the shader.
 #[test]
 fn shaders_that_are_no_pictures_have_one_colour() {

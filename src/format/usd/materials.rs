@@ -9,6 +9,7 @@ use super::document::Value;
 use super::maps::{self, Mismatch};
 use super::names;
 use super::package::Place;
+use super::primvar::{COLORS, OPACITIES, Primvar};
 use super::stage::{Placed, Source, Stage};
 use crate::format::activation;
 use crate::format::error::Fault;
@@ -118,14 +119,14 @@ impl<'a> Materials<'a> {
         Self { place, space, unrolling: Unrolling::default(), budget: MapBudget::new(0) }
     }
 
-    /// Maps of a mesh, and their mapping to it.
+    /// Maps of the faces of a mesh with one material, and their mapping to it.
     pub(super) fn atlas(
         &mut self,
         stage: &Stage<'_>,
         mesh: &Placed,
+        material: Option<usize>,
         notes: &mut Vec<String>,
     ) -> Result<(Atlas, Coordinates), Fault> {
-        let at = stage.path(mesh.prim);
         match self.exact(stage, mesh.prim) {
             None => {}
             Some(Ok(atlas)) => return Ok((atlas, Coordinates::plain())),
@@ -135,13 +136,8 @@ impl<'a> Materials<'a> {
                 ));
             }
         }
-        let Some(shader) = mesh.material.and_then(|material| preview_surface(stage, material)) else {
-            notes.push(format!("{at}: has no UsdPreviewSurface and is shown in one colour"));
-            let rgb = stage.rows::<3>(mesh.prim, "primvars:displayColor")?.and_then(|c| c.first().copied());
-            let color = Picture::constant(rgb.map_or([0.5; 3], |rgb| self.space.from_linear(rgb)));
-            let alpha = stage.rows::<1>(mesh.prim, "primvars:displayOpacity")?.and_then(|a| a.first().copied());
-            let opacity = Picture::constant(alpha.map_or([1.0; 3], |[a]| [a; 3]));
-            return Ok((self.joined(&color, &opacity, &at)?, Coordinates::plain()));
+        let Some(shader) = material.and_then(|material| preview_surface(stage, material)) else {
+            return Ok((self.displayed(stage, mesh, notes)?, Coordinates::plain()));
         };
         let path = stage.path(shader);
         let is_picture = |name: &'static str| matches!(stage.input(shader, name), Some(Source::Output { .. }));
@@ -184,6 +180,18 @@ impl<'a> Materials<'a> {
             Atlas::new(base, bands).map_err(|e| fault(names::BANDS_MAP, (e.expected, e.found)))
         };
         Some(atlas())
+    }
+
+    /// Maps of a mesh without a shader: one texel of the mean of its colours and opacities.
+    fn displayed(&mut self, stage: &Stage<'_>, mesh: &Placed, notes: &mut Vec<String>) -> Result<Atlas, Fault> {
+        let colors = Primvar::<3>::inherited(stage, mesh, COLORS)?.and_then(|colors| colors.mean());
+        let opacities = Primvar::<1>::inherited(stage, mesh, OPACITIES)?.and_then(|opacities| opacities.mean());
+        let differ = colors.is_some_and(|(_, differ)| differ) || opacities.is_some_and(|(_, differ)| differ);
+        let (at, which) = (stage.path(mesh.prim), if differ { ", the mean of several" } else { "" });
+        notes.push(format!("{at}: has no UsdPreviewSurface and is shown in one colour{which}"));
+        let color = Picture::constant(colors.map_or([0.5; 3], |(rgb, _)| self.space.from_linear(rgb)));
+        let opacity = Picture::constant(opacities.map_or([1.0; 3], |([a], _)| [a; 3]));
+        self.joined(&color, &opacity, &at)
     }
 
     /// Maps of degree 0 at the larger of both sizes, for a prim at `at`.

@@ -41,6 +41,7 @@ mod materials;
 mod names;
 mod package;
 mod parse;
+mod primvar;
 mod print;
 mod shot;
 mod splats;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::document::{
-    Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Specifier, Value, Variant,
+    Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Specifier, Targets, Value, Variant,
 };
 use super::lex::Cursor;
 use crate::format::error::Fault;
@@ -11,6 +11,9 @@ use crate::format::error::Fault;
 /// Greatest nesting depth of prims, lists and dictionaries: far above real files, far below what a thread's stack can
 /// hold.
 const MAX_DEPTH: usize = 200;
+
+/// What a statement about an attribute may assign, for messages.
+const ASSIGNED: &str = "a value, .connect, .timeSamples or .spline";
 
 /// Parses the text of a layer, in time and memory proportional to its length.
 pub(super) fn parse(bytes: &[u8]) -> Result<Layer, Fault> {
@@ -107,7 +110,7 @@ impl Cursor<'_> {
     fn body(&mut self, prim: &mut Prim, depth: usize) -> Result<(), Fault> {
         let depth = self.deeper(depth)?;
         self.expect(b'{')?;
-        let mut attributes = HashMap::new();
+        let mut known = HashMap::new();
         loop {
             self.skip_separators()?;
             if self.eat(b'}')? {
@@ -117,7 +120,7 @@ impl Cursor<'_> {
                 Some("def" | "over" | "class") => prim.children.push(self.prim(depth)?),
                 Some("variantSet") => self.variant_set(prim, depth)?,
                 Some("reorder") => self.reorder(depth)?,
-                Some(_) => self.property(&mut prim.properties, &mut attributes, depth)?,
+                Some(_) => self.property(&mut prim.properties, &mut known, depth)?,
                 None => return Err(self.fault("a property, a prim or `}`")),
             }
         }
@@ -141,12 +144,12 @@ impl Cursor<'_> {
         }
     }
 
-    /// Parses one statement about an attribute or a relationship. Statements about the same attribute form one
-    /// property, wherever in the prim they are; `attributes` has the indices of those met so far.
+    /// Parses one statement about an attribute or a relationship. Statements about the same one form one property,
+    /// wherever in the prim they are; `known` has the indices of those met so far.
     fn property(
         &mut self,
         properties: &mut Vec<Property>,
-        attributes: &mut HashMap<String, usize>,
+        known: &mut HashMap<String, usize>,
         depth: usize,
     ) -> Result<(), Fault> {
         let (mut custom, mut uniform, mut edit) = (false, false, None);
@@ -159,47 +162,56 @@ impl Cursor<'_> {
                 word => break word,
             }
         };
-        if first == "rel" {
-            let name = self.word("the name of a relationship")?.to_owned();
-            let targets = if self.eat(b'=')? { Some((edit, self.paths()?)) } else { None };
-            let metadata = self.metadata(depth)?;
-            let kind = PropertyKind::Relationship { targets };
-            properties.push(Property { name, custom, uniform, kind, metadata });
-            return Ok(());
+        let (name, kind, found) =
+            if first == "rel" { self.relationship(edit)? } else { self.attribute(first, edit, depth)? };
+        let metadata = self.metadata(depth)?;
+        let index = *known.entry(name).or_insert_with_key(|name| {
+            properties.push(Property { name: name.clone(), custom, uniform, kind, metadata: vec![] });
+            properties.len() - 1
+        });
+        let property = &mut properties[index];
+        property.metadata.extend(metadata);
+        property.custom |= custom;
+        property.uniform |= uniform;
+        match (found, &mut property.kind) {
+            (Assignment::Value(v), PropertyKind::Attribute { value, .. }) => *value = Some(v),
+            (Assignment::Samples(s), PropertyKind::Attribute { samples, .. }) => *samples = s,
+            (
+                Assignment::Targets(later),
+                PropertyKind::Attribute { connections: targets, .. } | PropertyKind::Relationship { targets },
+            ) => match targets {
+                Some(sooner) => sooner.merge(later),
+                None => *targets = Some(later),
+            },
+            (Assignment::Spline, PropertyKind::Attribute { .. }) => {
+                let value = Value::List(vec![]);
+                property.metadata.push(Field { edit: None, name: Property::SPLINE.to_owned(), value });
+            }
+            // Nothing, or something that a property of this kind, which an earlier statement gave it, does not have.
+            _ => {}
         }
-        let mut type_name = first.to_owned();
+        Ok(())
+    }
+
+    /// Parses the name and targets of a relationship.
+    fn relationship(&mut self, edit: Option<ListEdit>) -> Result<Statement, Fault> {
+        let name = self.word("the name of a relationship")?.to_owned();
+        let found = if self.eat(b'=')? { self.targets(edit)? } else { Assignment::None };
+        Ok((name, PropertyKind::Relationship { targets: None }, found))
+    }
+
+    /// Parses the name of an attribute and what is assigned to it, after its type.
+    fn attribute(&mut self, type_name: &str, edit: Option<ListEdit>, depth: usize) -> Result<Statement, Fault> {
+        let mut type_name = type_name.to_owned();
         if self.eat(b'[')? {
             self.expect(b']')?;
             type_name.push_str("[]");
         }
         let name = self.word("the name of an attribute")?.to_owned();
-        let suffix = if self.eat_adjacent(b'.') { Some(self.word("connect, timeSamples or spline")?) } else { None };
-        let index = *attributes.entry(name).or_insert_with_key(|name| {
-            let kind = PropertyKind::Attribute {
-                type_name: type_name.clone(),
-                value: None,
-                samples: vec![],
-                connections: None,
-            };
-            properties.push(Property { name: name.clone(), custom, uniform, kind, metadata: vec![] });
-            properties.len() - 1
-        });
+        let suffix = if self.eat_adjacent(b'.') { Some(self.word(ASSIGNED)?) } else { None };
         let assigned = self.eat(b'=')?;
         let found = if assigned { self.assignment(suffix, &type_name, edit, depth)? } else { Assignment::None };
-        let metadata = self.metadata(depth)?;
-        let property = &mut properties[index];
-        property.metadata.extend(metadata);
-        property.custom |= custom;
-        property.uniform |= uniform;
-        if let PropertyKind::Attribute { value, samples, connections, .. } = &mut property.kind {
-            match found {
-                Assignment::None => {}
-                Assignment::Value(v) => *value = Some(v),
-                Assignment::Samples(s) => *samples = s,
-                Assignment::Connections(paths) => *connections = Some((edit, paths)),
-            }
-        }
-        Ok(())
+        Ok((name, PropertyKind::Attribute { type_name, value: None, samples: vec![], connections: None }, found))
     }
 
     fn assignment(
@@ -211,10 +223,19 @@ impl Cursor<'_> {
     ) -> Result<Assignment, Fault> {
         match suffix {
             None | Some("default") if edit.is_none() => self.typed(type_name, depth).map(Assignment::Value),
-            Some("connect") => self.paths().map(Assignment::Connections),
+            Some("connect") => self.targets(edit),
             Some("timeSamples") => self.samples(type_name, depth).map(Assignment::Samples),
-            _ => Err(self.fault("a value, .connect or .timeSamples")),
+            Some("spline") => self.skip_block().map(|()| Assignment::Spline),
+            _ => {
+                self.skip_space()?;
+                Err(self.fault(ASSIGNED))
+            }
         }
+    }
+
+    fn targets(&mut self, edit: Option<ListEdit>) -> Result<Assignment, Fault> {
+        let paths = self.paths()?;
+        Ok(Assignment::Targets(Targets { edit, paths }))
     }
 
     /// Parses `None`, a path or a list of paths.
@@ -408,9 +429,15 @@ impl Cursor<'_> {
     }
 }
 
+/// Name and kind of the property that a statement is about, and what it assigns.
+type Statement = (String, PropertyKind, Assignment);
+
 enum Assignment {
     None,
     Value(Value),
     Samples(Vec<(f64, Value)>),
-    Connections(Vec<String>),
+    /// A spline, which is not read.
+    Spline,
+    /// Connections of an attribute, or targets of a relationship.
+    Targets(Targets),
 }

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 
 use rayon::prelude::*;
 
-use super::document::{Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Value};
+use super::document::{Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Targets, Value};
 
 /// Number of elements that one task formats, and of tasks whose text is held in memory at a time: about 50 MB.
 const ELEMENTS: usize = 1 << 14;
@@ -111,9 +111,9 @@ impl<W: Write> Printer<'_, W> {
         match &property.kind {
             PropertyKind::Relationship { targets } => {
                 self.line_start()?;
-                write!(self.out, "{custom}{}rel {name}", edit(targets.as_ref().and_then(|t| t.0)))?;
-                if let Some((_, targets)) = targets {
-                    write!(self.out, " = {}", paths(targets))?;
+                write!(self.out, "{custom}{}rel {name}", edit(targets.as_ref().and_then(|t| t.edit)))?;
+                if let Some(targets) = targets {
+                    write!(self.out, " = {}", paths(&targets.paths))?;
                 }
                 self.metadata(&property.metadata, " ")?;
                 writeln!(self.out)
@@ -145,7 +145,7 @@ impl<W: Write> Printer<'_, W> {
                     self.line_start()?;
                     writeln!(self.out, "}}")?;
                 }
-                if let Some((list_edit, sources)) = connections {
+                if let Some(Targets { edit: list_edit, paths: sources }) = connections {
                     self.line_start()?;
                     let edit = edit(*list_edit);
                     writeln!(self.out, "{edit}{custom}{uniform}{type_name} {name}.connect = {}", paths(sources))?;

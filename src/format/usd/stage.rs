@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use glam::DMat4;
 
 use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
+use super::primvar::Constants;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
 
@@ -25,12 +26,35 @@ const LONG_PATH: usize = 1000;
 /// Connections that are followed before a value counts as missing.
 const MAX_HOPS: usize = 16;
 
-/// Where a prim lies in the world and which material is bound to it.
+/// Where a prim lies in the world, and what is bound to it or inherited by those below.
+#[derive(Clone, Copy)]
 pub(super) struct Placed {
     pub(super) prim: usize,
     pub(super) transform: DMat4,
-    pub(super) material: Option<usize>,
+    pub(super) binding: Option<Binding>,
+    /// Skeleton with which the prim moves.
+    pub(super) skeleton: Option<usize>,
+    pub(super) constants: Constants,
 }
+
+/// Material bound to a prim and to those below without one of their own.
+#[derive(Clone, Copy)]
+pub(super) struct Binding {
+    pub(super) material: usize,
+    /// Whether it is bound to all prims below.
+    is_strong: bool,
+}
+
+impl Binding {
+    /// Material of a prim with this binding, below one with the binding `above`.
+    pub(super) fn below(self, above: Option<Self>) -> Self {
+        above.filter(|above| above.is_strong).unwrap_or(self)
+    }
+}
+
+/// Relationship to a material, and its metadata that states how strong it is.
+const MATERIAL: &str = "material:binding";
+const STRENGTH: &str = "bindMaterialAs";
 
 /// Where an input of a shader gets its value.
 pub(super) enum Source<'a> {
@@ -107,6 +131,18 @@ impl<'a> Stage<'a> {
             at = if part == ".." { self.parents[at?] } else { Some(*self.children.get(&(at, part))?) };
         }
         Some((at?, property))
+    }
+
+    /// Prim to which a relationship of a prim leads; `None` if there is none in the layer.
+    pub(super) fn related(&self, prim: usize, name: &str) -> Option<usize> {
+        let (target, _) = self.find(prim, self.prims[prim].target(name)?)?;
+        Some(target)
+    }
+
+    /// Material that a prim binds itself.
+    pub(super) fn binding(&self, prim: usize) -> Option<Binding> {
+        let is_strong = self.prims[prim].stated(MATERIAL, STRENGTH) == Some("strongerThanDescendants");
+        self.related(prim, MATERIAL).map(|material| Binding { material, is_strong })
     }
 
     /// Value of an input, or the shader output to which it is connected.

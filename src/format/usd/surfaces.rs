@@ -4,9 +4,9 @@ use std::collections::HashMap;
 
 use glam::{DMat4, Vec2, Vec3};
 
-use super::document::{Prim, Value, field};
 use super::materials::Materials;
 use super::names;
+use super::primvar::Primvar;
 use super::stage::{Placed, Stage};
 use crate::format::error::Fault;
 use crate::format::placed::{orthogonal, turned};
@@ -38,6 +38,9 @@ pub(super) fn read(
         notes.push(format!("{at}: a mesh without triangles is left out"));
         return Ok(vec![]);
     }
+    if placed.skeleton.is_some() {
+        notes.push(format!("{at}: bound to a skeleton: shown as bound, not posed"));
+    }
     if placed.transform != DMat4::IDENTITY {
         let place = |p: &mut Vec3| *p = placed.transform.transform_point3(p.as_dvec3()).as_vec3();
         polygons.points.iter_mut().for_each(place);
@@ -48,7 +51,7 @@ pub(super) fn read(
     let parts = parts(stage, placed, &polygons)?;
     let mut meshes = vec![];
     for Part { material, faces } in &parts {
-        let (mut atlas, coordinates) = materials.atlas(stage, &Placed { material: *material, ..*placed }, notes)?;
+        let (mut atlas, coordinates) = materials.atlas(stage, placed, *material, notes)?;
         if atlas.sh_degree() > 0 && placed.transform != DMat4::IDENTITY {
             let turn = orthogonal(placed.transform).ok_or_else(|| {
                 let expected = "an invertible transform above a mesh with view-dependent colour";
@@ -106,11 +109,11 @@ struct Part {
 
 /// Faces other than holes, by material: that of the mesh, and those of its `GeomSubset`s.
 fn parts(stage: &Stage<'_>, placed: &Placed, polygons: &Polygons) -> Result<Vec<Part>, Fault> {
-    let mut of_face = vec![placed.material; polygons.counts.len()];
+    let mut of_face = vec![placed.binding.map(|own| own.material); polygons.counts.len()];
     for child in stage.prims[placed.prim].children.iter().filter(|child| child.type_name == "GeomSubset") {
         let Some((subset, _)) = stage.find(placed.prim, &child.name) else { continue };
-        let bound = child.target("material:binding").and_then(|path| stage.find(subset, path));
-        let Some((material, _)) = bound else { continue };
+        let Some(own) = stage.binding(subset) else { continue };
+        let material = own.below(placed.binding).material;
         for face in stage.indices(subset, "indices")?.unwrap_or_default() {
             if let Some(slot) = of_face.get_mut(face as usize) {
                 *slot = Some(material);
@@ -170,11 +173,7 @@ fn polygons(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> Result<P
 
 /// UVs of corners.
 struct CornerUvs<'a> {
-    /// Path of the primvar.
-    at: String,
-    values: Vec<[f32; 2]>,
-    interpolation: &'a str,
-    indices: Option<Vec<u32>>,
+    primvar: Primvar<'a, 2>,
     /// Exact v of every corner, in our own files.
     exact: Option<Vec<[f32; 1]>>,
 }
@@ -182,38 +181,18 @@ struct CornerUvs<'a> {
 impl<'a> CornerUvs<'a> {
     /// Reads the UVs; `None` if the mesh has none.
     fn of(stage: &Stage<'a>, prim: usize, primvar: &str) -> Result<Option<Self>, Fault> {
-        let name = format!("primvars:{primvar}");
-        let Some(values) = stage.rows::<2>(prim, &name)? else { return Ok(None) };
-        let interpolation = interpolation(stage.prims[prim], &name);
-        let indices = stage.indices(prim, &format!("{name}:indices"))?;
-        let is_plain = interpolation == "faceVarying" && indices.is_none();
-        let exact = stage.rows::<1>(prim, names::EXACT_V)?.filter(|exact| is_plain && exact.len() == values.len());
-        Ok(Some(Self { at: format!("{}.{name}", stage.path(prim)), values, interpolation, indices, exact }))
+        let Some(primvar) = Primvar::of(stage, prim, &format!("primvars:{primvar}"))? else { return Ok(None) };
+        let is_plain = primvar.interpolation == "faceVarying" && primvar.indices.is_none();
+        let exact = stage.rows::<1>(prim, names::EXACT_V)?;
+        let exact = exact.filter(|exact| is_plain && exact.len() == primvar.values.len());
+        Ok(Some(Self { primvar, exact }))
     }
 
     /// UV of a corner, v downwards.
     fn at(&self, corner: usize, vertex: u32, face: usize) -> Result<Vec2, Fault> {
-        let index = match self.interpolation {
-            "faceVarying" => corner,
-            "vertex" | "varying" => vertex as usize,
-            "uniform" => face,
-            _ => 0,
-        };
-        let place = match &self.indices {
-            Some(indices) => indices.get(index).map(|&i| i as usize),
-            None => Some(index),
-        };
-        let Some(&[u, stored]) = place.and_then(|place| self.values.get(place)) else {
-            let expected = format!("a value for element {index} of interpolation {}", self.interpolation);
-            return Err(Fault::pointer(&self.at, expected, "none"));
-        };
+        let [u, stored] = self.primvar.at(corner, vertex, face)?;
         // Unless the coordinates have been changed since they were written.
         let exact = self.exact.as_ref().map(|exact| exact[corner][0]).filter(|v| 1.0 - v == stored);
         Ok(Vec2::new(u, exact.unwrap_or(1.0 - stored)))
     }
-}
-
-fn interpolation<'a>(prim: &'a Prim, name: &str) -> &'a str {
-    let metadata = prim.property(name).map_or(&[][..], |p| &p.metadata);
-    field(metadata, "interpolation").and_then(Value::as_text).unwrap_or("constant")
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::document::{
-    Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Specifier, Value, Variant,
+    Entry, Field, Layer, ListEdit, Numeric, Prim, Property, PropertyKind, Scalar, Specifier, Targets, Value, Variant,
 };
 use super::parse::parse;
 use super::print::print;
@@ -114,8 +114,9 @@ fn fields() -> impl Strategy<Value = Vec<Field>> {
     prop::collection::vec(field, 0..3)
 }
 
-fn targets() -> impl Strategy<Value = Option<(Option<ListEdit>, Vec<String>)>> {
-    prop::option::of((edit(), prop::collection::vec(path(), 0..3)))
+fn targets() -> impl Strategy<Value = Option<Targets>> {
+    let targets = (edit(), prop::collection::vec(path(), 0..3)).prop_map(|(edit, paths)| Targets { edit, paths });
+    prop::option::of(targets)
 }
 
 fn kind() -> impl Strategy<Value = PropertyKind> {
@@ -275,6 +276,55 @@ def "a" {
     assert_eq!(prim.children[0].value("x").and_then(Value::as_number), Some(7.0));
 }
 
+/// Weaker layers, to which deletions apply, are not read.
+#[test]
+fn list_edits_lead_to_what_they_add() {
+    let layer = parsed(
+        r##"#usda 1.0
+def "a" {
+    delete rel r = </x>
+    append rel r = </c>
+    prepend rel r = [</b>, </d>] ( doc = "of r" )
+    delete rel r = </b>
+    delete rel none = </x>
+    prepend float f.connect = </b.f>
+    delete float f.connect = </c.f>
+    delete float g.connect = </c.f>
+    rel blocked = </b>
+    rel blocked = None
+}
+"##,
+    );
+    let prim = &layer.prims[0];
+    assert_eq!(prim.properties.len(), 5);
+    assert_eq!(["r", "none", "blocked"].map(|name| prim.target(name)), [Some("/b"), None, None]);
+    assert_eq!(["f", "g"].map(|name| prim.connection(name)), [Some("/b.f"), None]);
+    assert_eq!(prim.stated("r", "doc"), Some("of r"));
+}
+
+#[test]
+fn splines_are_skipped_and_leave_other_values() {
+    let layer = parsed(
+        r##"#usda 1.0
+def "a" {
+    double x.spline = {
+        bezier, # a comment with }
+        pre: sloped(0.57),
+        loop: (15, 25, 0, 2, 11.7),
+        7: 5.5 & 7.21; post held; { string a = "}\"" string b = '''}''' asset c = @}.png@ },
+    }
+    double x = 1
+    double y.spline = {}
+    double z = 2
+}
+"##,
+    );
+    let prim = &layer.prims[0];
+    let splines = ["x", "y", "z"].map(|name| prim.property(name).unwrap().has_spline());
+    assert_eq!(splines, [true, true, false]);
+    assert_eq!(["x", "z"].map(|name| prim.value(name).and_then(Value::as_number)), [Some(1.0), Some(2.0)]);
+}
+
 #[test]
 fn faults_are_named_with_line_and_column() {
     let deep = format!("#usda 1.0\n{}", "def \"a\" {".repeat(300));
@@ -288,6 +338,18 @@ fn faults_are_named_with_line_and_column() {
         ("#usda 1.0\ndef \"a\" { float3 x = (1, 2) }", "f: line 2, column 27: expected `,`, found `)`"),
         ("#usda 1.0\ndef \"a\" { float[] x = [1 2] }", "f: line 2, column 26: expected `,` or `]`, found `2]`"),
         ("#usda 1.0\ndef \"a\" { int x = 1.5 }", "f: line 2, column 19: expected an integer, found `1.5`"),
+        (
+            "#usda 1.0\ndef \"a\" { double x.spline = { { }",
+            "f: line 2, column 34: expected `}`, found the end of the file",
+        ),
+        (
+            "#usda 1.0\ndef \"a\" { double x.splin = 1 }",
+            "f: line 2, column 28: expected a value, .connect, .timeSamples or .spline, found `1`",
+        ),
+        (
+            "#usda 1.0\ndef \"a\" { double x. = 1 }",
+            "f: line 2, column 21: expected a value, .connect, .timeSamples or .spline, found `=`",
+        ),
         (
             "#usda 1.0\ndef \"a\" {",
             "f: line 2, column 10: expected a property, a prim or `}`, found the end of the file",

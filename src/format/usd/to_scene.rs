@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use glam::{DMat4, DVec3};
 
-use super::document::{Layer, Prim, PropertyKind, Specifier, Value, field};
+use super::document::{Layer, Prim, Property, PropertyKind, Specifier, Value, field};
 use super::materials::Materials;
 use super::package::Place;
+use super::primvar::{BIND_TRANSFORM, Constants, JOINTS, holder};
 use super::stage::{Placed, Stage};
 use super::{foreign, frame, names, splats, surfaces, views, xform};
 use crate::format::activation::layers;
@@ -165,32 +166,58 @@ fn composition(stage: &Stage<'_>, root: Option<usize>, notes: &mut Vec<String>) 
     Ok(composition)
 }
 
-/// All drawn prims, with their world transforms and inherited materials.
+/// All drawn prims, with their world transforms and what they inherit. Meshes that move with a skeleton lie where they
+/// were when they were bound to it, which is where they rest if the skeleton does.
 pub(super) fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Counts) -> Result<Vec<Placed>, Fault> {
-    let mut states: Vec<Option<(DMat4, Option<usize>)>> = Vec::with_capacity(stage.prims.len());
-    let mut drawn = vec![];
+    let root = Placed { prim: 0, transform: to_world, binding: None, skeleton: None, constants: Constants::default() };
+    // Those that are not drawn, as skeletons often are not, have a place, too.
+    let mut places: Vec<Placed> = Vec::with_capacity(stage.prims.len());
+    let mut drawn: Vec<bool> = Vec::with_capacity(stage.prims.len());
     for (i, prim) in stage.prims.iter().enumerate() {
-        let parent = match stage.parents[i] {
-            None => Some((to_world, None)),
-            Some(parent) => states[parent],
-        };
-        let Some((above, inherited)) = parent.filter(|_| is_drawn(prim, left_out)) else {
-            states.push(None);
-            continue;
-        };
-        left_out.prim(prim);
-        let (local, resets) = xform::local(stage, i)?;
-        let above = if resets { to_world } else { above };
-        let transform = if local == DMat4::IDENTITY { above } else { above * local };
-        if !transform.is_finite() {
-            return Err(Fault::pointer(stage.path(i), "a finite transform", "numbers that are not"));
+        let parent = stage.parents[i];
+        let above = parent.map_or(root, |parent| places[parent]);
+        let is_drawn = parent.is_none_or(|parent| drawn[parent]) && is_drawn(prim, left_out);
+        if is_drawn {
+            left_out.prim(prim);
         }
-        let bound = prim.target("material:binding").and_then(|path| stage.find(i, path)).map(|(id, _)| id);
-        let material = bound.or(inherited);
-        states.push(Some((transform, material)));
-        drawn.push(Placed { prim: i, transform, material });
+        let transform = match world(stage, i, above.transform, to_world) {
+            Err(fault) if is_drawn => return Err(fault),
+            transform => transform.unwrap_or(above.transform),
+        };
+        places.push(Placed {
+            prim: i,
+            transform,
+            binding: stage.binding(i).map(|own| own.below(above.binding)).or(above.binding),
+            skeleton: stage.related(i, "skel:skeleton").or(above.skeleton),
+            constants: above.constants.below(stage, i),
+        });
+        drawn.push(is_drawn);
     }
-    Ok(drawn)
+    let drawn = places.iter().zip(drawn).filter(|(_, is_drawn)| *is_drawn);
+    drawn.map(|(placed, _)| as_bound(stage, placed, &places)).collect()
+}
+
+/// World transform of a prim below one with the transform `above`.
+fn world(stage: &Stage<'_>, prim: usize, above: DMat4, to_world: DMat4) -> Result<DMat4, Fault> {
+    let (local, resets) = xform::local(stage, prim)?;
+    let above = if resets { to_world } else { above };
+    finite(stage, prim, if local == DMat4::IDENTITY { above } else { above * local })
+}
+
+fn finite(stage: &Stage<'_>, prim: usize, transform: DMat4) -> Result<DMat4, Fault> {
+    let fault = || Fault::pointer(stage.path(prim), "a finite transform", "numbers that are not");
+    transform.is_finite().then_some(transform).ok_or_else(fault)
+}
+
+/// Placement of a prim, with a skeleton only if it is a mesh with joints. USD takes the points of such a mesh to the
+/// frame of the skeleton as they were bound to it, and ignores the transform of the mesh.
+fn as_bound(stage: &Stage<'_>, placed: &Placed, places: &[Placed]) -> Result<Placed, Fault> {
+    let is_moved = stage.prims[placed.prim].type_name == "Mesh" && holder(stage, placed, JOINTS).is_some();
+    let Some(skeleton) = placed.skeleton.filter(|_| is_moved) else { return Ok(Placed { skeleton: None, ..*placed }) };
+    let bind = holder(stage, placed, BIND_TRANSFORM).and_then(|prim| stage.numbers::<16>(prim, BIND_TRANSFORM));
+    // As in operations, USD's rows are our columns.
+    let bind = bind.map_or(DMat4::IDENTITY, |rows| DMat4::from_cols_array(&rows));
+    Ok(Placed { transform: finite(stage, placed.prim, places[skeleton].transform * bind)?, ..*placed })
 }
 
 fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
@@ -259,6 +286,9 @@ impl Counts {
         if prim.properties.iter().any(|p| is_animated(&p.kind)) {
             self.add("with animation, read at its first time");
         }
+        if prim.properties.iter().any(Property::has_spline) {
+            self.add("with splines, which are not read");
+        }
     }
 
     fn lines(self) -> impl Iterator<Item = String> {
@@ -267,5 +297,70 @@ impl Counts {
             1 => format!("1 prim {what}"),
             _ => format!("{count} prims {what}"),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use crate::format::usd::tests::read_text;
+
+    /// The skeleton is a guide, which is not drawn, and follows the mesh. The transform mirrors.
+    #[test]
+    fn meshes_with_joints_lie_where_they_were_bound() {
+        let read_with = |root: &str, own: &str| {
+            let file = read_text(&format!(
+                r#"( metersPerUnit = 1 )
+def SkelRoot "R" {{
+    {root}
+    def Mesh "M" {{
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+        uniform token subdivisionScheme = "none"
+        double3 xformOp:translate = (0, 50, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+        {own}
+    }}
+    def Skeleton "K" {{
+        uniform token purpose = "guide"
+        double3 xformOp:translate = (7, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+}}
+"#
+            ));
+            let mesh = &file.scene.meshes[0];
+            let is_noted = file.notes.contains(&"/R/M: bound to a skeleton: shown as bound, not posed".to_owned());
+            (mesh.positions().to_vec(), mesh.triangles()[0], is_noted)
+        };
+        let at = Vec3::new;
+        let skeleton = "rel skel:skeleton = </R/K>";
+        let bind = "matrix4d primvars:skel:geomBindTransform = ((-2,0,0,0), (0,2,0,0), (0,0,2,0), (5,0,0,1))";
+        let joints = "int[] primvars:skel:jointIndices = [0, 0, 0] ( interpolation = \"vertex\" )";
+        let as_bound = (vec![at(12.0, 0.0, 0.0), at(10.0, 0.0, 0.0), at(12.0, -2.0, 0.0)], [0, 2, 1], true);
+        assert_eq!(read_with("", &format!("{skeleton} {bind} {joints}")), as_bound);
+        assert_eq!(read_with(&format!("{skeleton} {bind}"), joints), as_bound);
+        let without_transform = read_with(skeleton, joints).0;
+        assert_eq!(without_transform, [at(7.0, 0.0, 0.0), at(8.0, 0.0, 0.0), at(7.0, -1.0, 0.0)]);
+        let as_placed = (vec![at(0.0, -50.0, 0.0), at(1.0, -50.0, 0.0), at(0.0, -51.0, 0.0)], [0, 1, 2], false);
+        assert_eq!(read_with(&format!("{skeleton} {bind}"), ""), as_placed);
+        assert_eq!(read_with(bind, &format!("delete {skeleton} {joints}")), as_placed);
+    }
+
+    #[test]
+    fn splines_are_named() {
+        let file = read_text(
+            r#"( metersPerUnit = 1 )
+def Camera "C" {
+    float focalLength.spline = { bezier, 1: 5; post curve (1, 2), 2: 6 }
+    double xformOp:rotateY.spline = { 1: 0, 24: 90 }
+    uniform token[] xformOpOrder = ["xformOp:rotateY"]
+}
+"#,
+        );
+        assert_eq!(file.cameras.len(), 1);
+        assert_eq!(file.notes.last().unwrap(), "1 prim with splines, which are not read");
     }
 }

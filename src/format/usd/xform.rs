@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::document::{Prim, Value};
+use super::document::{Prim, Property, Value};
 use super::stage::Stage;
 use crate::format::error::Fault;
 
@@ -31,6 +31,10 @@ pub(super) fn local(stage: &Stage<'_>, prim: usize) -> Result<(DMat4, bool), Fau
             None => (false, name),
         };
         let values = stage.value(prim, attribute).and_then(|v| v.as_numbers()).unwrap_or_default();
+        // Splines are not read; without another value, the operation does nothing.
+        if values.is_empty() && stage.prims[prim].property(attribute).is_some_and(Property::has_spline) {
+            continue;
+        }
         let kind = attribute.split(':').nth(1).unwrap_or_default();
         let step = operation(kind, &values).filter(DMat4::is_finite).ok_or_else(|| {
             let found = format!("{} numbers", values.len());

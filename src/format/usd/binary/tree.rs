@@ -4,7 +4,7 @@ use super::cursor::Cursor;
 use super::values::Rep;
 use super::{Crate, END, PathNode};
 use crate::format::error::Fault;
-use crate::format::usd::document::{Field, Layer, Prim, Property, PropertyKind, Specifier, Value, Variant};
+use crate::format::usd::document::{Field, Layer, Prim, Property, PropertyKind, Specifier, Targets, Value, Variant};
 
 /// Greatest nesting depth of prims, as in text.
 const MAX_DEPTH: usize = 200;
@@ -219,7 +219,7 @@ fn property(name: String, is_attribute: bool, fields: Vec<(String, Content)>) ->
             ("typeName", Content::Value(Value::Text(name))) => type_name = name,
             ("default", Content::Value(value)) => default = Some(value),
             ("connectionPaths" | "targetPaths", Content::Value(Value::List(paths))) => {
-                targets = Some((None, texts(&paths)));
+                targets = Some(Targets::explicit(texts(&paths)));
             }
             (_, Content::Value(value)) => property.metadata.push(Field { edit: None, name, value }),
         }

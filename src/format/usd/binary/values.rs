@@ -139,8 +139,8 @@ impl Crate<'_> {
             (31, false) => Value::Dictionary(if rep.is_inlined() { vec![] } else { self.entries(rep)? }),
             // Specifier and variability are enumerations.
             (42 | 44, false) => Value::Number(f64::from(rep.inlined()[0])),
-            // Of references, variants and payloads only their presence matters.
-            (33 | 35 | 45 | 47 | 55, _) => Value::List(vec![]),
+            // Of references, variants, payloads and splines only their presence matters.
+            (33 | 35 | 45 | 47 | 55 | 59, _) => Value::List(vec![]),
             (51, _) => Value::Blocked,
             _ => return Ok(None),
         }))
