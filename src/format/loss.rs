@@ -19,7 +19,8 @@ pub struct WriteReport {
     pub loss: Loss,
     /// Names of accompanying files, without which the file is incomplete.
     pub beside: Vec<String>,
-    /// Differences between the image shown by the target program and that shown by Centaur, one sentence each.
+    /// Differences between the image shown by the target program and that shown by Centaur, and what a document lost
+    /// with cameras left out of it, one sentence each.
     pub notes: Vec<String>,
 }
 

@@ -7,19 +7,17 @@ use glam::{DMat3, DMat4, Vec3};
 
 use super::error::Fault;
 use crate::scene::frame::{HALF_TURN, OPENGL_FROM_OPENCV};
-pub(super) use crate::scene::placement::{Decomposed, orthogonal, similarity, turned};
+pub(super) use crate::scene::placement::{Decomposed, is_flat, orthogonal, similarity, turned};
 use crate::scene::{Atlas, HybridScene, Mesh, SceneError, SplatArrays, Splats, placement};
 
-/// Transforms splats by a node's world transform: means, scales, rotations and spherical harmonics.
-///
-/// # Errors
-/// Reported at `at`, if the transform leaves the splats no extent along an axis.
-pub(super) fn place(splats: &mut SplatArrays, transform: DMat4, at: &str) -> Result<(), Fault> {
+/// What is said of splats that [`place`] cannot place.
+pub(super) const NOT_DRAWN: &str = "splats under a flat transform are not drawn";
+
+/// Transforms splats by a node's world transform: means, scales, rotations and spherical harmonics. Returns false, and
+/// does nothing, if the transform leaves the splats no extent along an axis: they are then not drawn.
+pub(super) fn place(splats: &mut SplatArrays, transform: DMat4) -> bool {
     let all = 0..splats.means.len();
-    if placement::place(splats, all, transform) {
-        return Ok(());
-    }
-    Err(Fault::pointer(at, "an invertible transform above splats", "one without"))
+    placement::place(splats, all, transform)
 }
 
 /// Joins parts into one set of splats, at the highest SH degree among them. Each part comes with its origin: a JSON

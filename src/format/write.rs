@@ -77,10 +77,12 @@ fn of_no_format(path: &Path) -> FormatError {
 }
 
 fn write_gltf(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
+    let mut notes = vec![];
     let (bytes, loss) = match options.source {
         Some(source) => {
             let (bytes, stands) = gltf::write_over(path, scene, options.cameras, (source, options.record))?;
             let loss = if stands {
+                notes.extend(source.lost_with_cameras(options.cameras));
                 let record = options.record.is_some() && options.record != source.extras();
                 Loss { document: source.unfound(), record, ..Loss::default() }
             } else {
@@ -94,7 +96,7 @@ fn write_gltf(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> R
         }
     };
     let loss = Loss { attributes: names(options.attributes), ..loss };
-    Ok(WriteReport { bytes, loss, ..WriteReport::default() })
+    Ok(WriteReport { bytes, loss, notes, ..WriteReport::default() })
 }
 
 fn write_usd(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {

@@ -45,6 +45,12 @@ pub(crate) fn orthogonal(transform: DMat4) -> Option<DMat3> {
     (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-9).then_some(unit)
 }
 
+/// Whether the linear part of a transform has no inverse: below it splats have no extent along an axis, and neither
+/// splats nor surfaces with view dependence are drawn.
+pub(crate) fn is_flat(transform: DMat4) -> bool {
+    orthogonal(transform).is_none()
+}
+
 /// Applies a node's transform to some splats: means, shapes and spherical harmonics. With its linear part M a
 /// covariance Σ becomes M·Σ·Mᵀ, and harmonics are rotated by [`orthogonal`]. Returns false, and does nothing, if M has
 /// no inverse.
@@ -168,7 +174,7 @@ mod tests {
             assert!(orthogonal(transform).unwrap().abs_diff_eq(expected, 1e-9), "{scale}");
         }
         for flat in [DMat4::ZERO, DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))] {
-            assert!(orthogonal(flat).is_none() && !place(&mut some_splats(3), 0..3, flat));
+            assert!(is_flat(flat) && !place(&mut some_splats(3), 0..3, flat));
         }
     }
 

@@ -13,12 +13,13 @@
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::placement::{orthogonal, reshape, similarity, turn, turned};
+use super::placement::{is_flat, orthogonal, reshape, similarity, turn, turned};
 use super::{HybridScene, Mesh, SceneError, SplatArrays, check_len};
 
 /// A pose of a rig.
@@ -86,12 +87,15 @@ pub struct AttachedSplats {
     pub splats: Range<usize>,
     /// Bone or triangles that they follow.
     pub anchor: Anchor,
+    /// Opacity logits, one per splat, of splats that the scene holds as hidden, because the transform of their bone is
+    /// flat in the rest pose.
+    pub hidden: Option<Vec<f32>>,
 }
 
 /// Attachment of splats.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Anchor {
-    /// A bone, relative to the rest pose.
+    /// A bone, relative to [`Rig::origin`].
     Bone(usize),
     /// Triangles, one per splat.
     Triangles(Binding),
@@ -150,7 +154,7 @@ impl Frame {
 }
 
 /// Opacity logit of splats that are not drawn, far below the least visible opacity.
-const HIDDEN: f32 = -100.0;
+pub(crate) const HIDDEN: f32 = -100.0;
 
 impl Rig {
     /// * `surfaces`: one per mesh of the scene.
@@ -167,9 +171,12 @@ impl Rig {
     ) -> Result<Self, SceneError> {
         check_len("names of bones", names.len(), rest.bones.len())?;
         surfaces.iter().flatten().try_for_each(|rest_surface| rest_surface.check(&rest))?;
-        for AttachedSplats { splats, anchor } in &attached {
+        for AttachedSplats { splats, anchor, hidden } in &attached {
             if splats.start > splats.end {
                 return Err(SceneError::new("splats", "a range", format!("{} to {}", splats.start, splats.end)));
+            }
+            if let Some(logits) = hidden {
+                check_len("opacities of hidden splats", logits.len(), splats.len())?;
             }
             match anchor {
                 Anchor::Bone(bone) => below("bone", *bone, rest.bones.len())?,
@@ -197,6 +204,17 @@ impl Rig {
         &self.rest
     }
 
+    /// Transform under which the scene holds splats and maps that are attached to a bone: that of the rest pose, or the
+    /// identity where that one is flat, under which they cannot be placed.
+    ///
+    /// # Panics
+    /// If there is no such bone.
+    #[must_use]
+    pub fn origin(&self, bone: usize) -> DMat4 {
+        let rest = self.rest.bones[bone];
+        if is_flat(rest) { DMat4::IDENTITY } else { rest }
+    }
+
     /// Names of bones, one each.
     #[must_use]
     pub fn bone_names(&self) -> &[String] {
@@ -204,11 +222,11 @@ impl Rig {
     }
 
     /// The scene in a pose; `scene` is the one in the rest pose, after it was moved by `moved`, a similarity. Parts
-    /// that `pose` leaves in the rest pose keep their bits.
+    /// that `pose` leaves in the rest pose keep their bits. Splats and view-dependent surfaces of a bone whose transform
+    /// is flat are not drawn: splats are hidden, surfaces have no extent.
     ///
     /// # Errors
-    /// If the scene or the pose does not belong to this rig, `moved` is no similarity, or a bone's transform is flat,
-    /// so that splats cannot follow it. Splats of a bone scaled to zero are not drawn.
+    /// If the scene or the pose does not belong to this rig, or `moved` is no similarity.
     pub fn pose(&self, scene: &HybridScene, pose: &Pose, moved: DMat4) -> Result<HybridScene, SceneError> {
         let Some(by) = similarity(moved) else {
             return Err(SceneError::new("moved", "a rotation, a shift and an even scale", "another transform"));
@@ -222,33 +240,63 @@ impl Rig {
         });
         let meshes = meshes.collect::<Result<Vec<_>, _>>()?;
         let mut splats = scene.splats.clone().into_arrays();
-        for AttachedSplats { splats: these, anchor } in &self.attached {
-            if these.end > splats.means.len() {
-                let found = splats.means.len().to_string();
-                return Err(SceneError::new("splats", format!("at least {}", these.end), found));
-            }
+        self.reveal(&mut splats)?;
+        for AttachedSplats { splats: these, anchor, hidden } in &self.attached {
             match anchor {
-                Anchor::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved)?,
+                Anchor::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved),
                 Anchor::Triangles(binding) => {
-                    let surfaces = (&scene.meshes[binding.surface], &meshes[binding.surface]);
-                    let unmoved = by.rotation.inverse();
-                    self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, (moved, unmoved))?;
+                    // Hidden splats are on no triangle before they are posed.
+                    let rest = hidden.is_none().then_some(&scene.meshes[binding.surface]);
+                    let (surfaces, unmoved) = ((rest, &meshes[binding.surface]), by.rotation.inverse());
+                    self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, (moved, unmoved));
                 }
             }
         }
         Ok(HybridScene { splats: splats.check()?, meshes, composition: scene.composition })
     }
 
+    /// The scene in the rest pose with hidden splats shown at their [`Rig::origin`], for programs that pose it
+    /// themselves.
+    ///
+    /// # Errors
+    /// If the scene does not belong to this rig.
+    pub fn revealed<'a>(&self, scene: &'a HybridScene) -> Result<Cow<'a, HybridScene>, SceneError> {
+        if self.attached.iter().all(|part| part.hidden.is_none()) {
+            return Ok(Cow::Borrowed(scene));
+        }
+        let mut splats = scene.splats.clone().into_arrays();
+        self.reveal(&mut splats)?;
+        let (meshes, composition) = (scene.meshes.clone(), scene.composition);
+        Ok(Cow::Owned(HybridScene { splats: splats.check()?, meshes, composition }))
+    }
+
+    /// Gives hidden splats their own opacities.
+    fn reveal(&self, splats: &mut SplatArrays) -> Result<(), SceneError> {
+        for AttachedSplats { splats: these, hidden, .. } in &self.attached {
+            if these.end > splats.means.len() {
+                let found = splats.means.len().to_string();
+                return Err(SceneError::new("splats", format!("at least {}", these.end), found));
+            }
+            if let Some(logits) = hidden {
+                splats.opacity_logits[these.clone()].copy_from_slice(logits);
+            }
+        }
+        Ok(())
+    }
+
     fn posed(&self, rest_surface: &RestSurface, mesh: &Mesh, pose: &Pose, moved: DMat4) -> Result<Mesh, SceneError> {
         check_len("positions", mesh.positions().len(), rest_surface.base.len())?;
         let mut atlas = mesh.atlas().clone();
+        let mut positions = rest_surface.positions(pose);
         if let Skinning::Bone(bone) = rest_surface.skinning
             && atlas.sh_degree() > 0
-            && let Since::Moved(_, turn) = self.since_rest(bone, pose, moved)?
         {
-            atlas = turned(&atlas, turn)?;
+            match self.since_rest(bone, pose, moved) {
+                Since::Rested => {}
+                Since::Moved(_, turn) => atlas = turned(&atlas, turn)?,
+                Since::Gone => positions.fill(pose.bones[bone].w_axis.truncate().as_vec3()),
+            }
         }
-        let mut positions = rest_surface.positions(pose);
         if moved != DMat4::IDENTITY {
             positions.par_iter_mut().for_each(|p| *p = moved.transform_point3(p.as_dvec3()).as_vec3());
         }
@@ -256,38 +304,27 @@ impl Rig {
     }
 
     /// Change that a pose makes to content attached to a bone.
-    fn since_rest(&self, bone: usize, pose: &Pose, moved: DMat4) -> Result<Since, SceneError> {
-        let (now, rest) = (pose.bones[bone], self.rest.bones[bone]);
-        if now == rest {
-            return Ok(Since::Rested);
+    fn since_rest(&self, bone: usize, pose: &Pose, moved: DMat4) -> Since {
+        let (now, origin) = (moved * pose.bones[bone], moved * self.origin(bone));
+        let Some(orthogonal_now) = orthogonal(now) else { return Since::Gone };
+        if pose.bones[bone] == self.rest.bones[bone] {
+            return Since::Rested;
         }
-        if DMat3::from_mat4(now) == DMat3::ZERO {
-            return Ok(Since::Gone);
+        let transform = now * origin.inverse();
+        if !transform.is_finite() {
+            return Since::Gone;
         }
-        let (now, rest) = (moved * now, moved * rest);
-        let transform = now * rest.inverse();
-        // For a bone with a singular rest transform the change is undefined: the inverse is not finite.
-        let turn = Some(transform).filter(DMat4::is_finite).and_then(|transform| match similarity(transform) {
-            Some(by) => Some(DMat3::from_quat(by.rotation)),
+        let turn = match similarity(transform) {
+            Some(by) => DMat3::from_quat(by.rotation),
             // View dependence follows the rotation of the bone itself, which the change between two stretching
             // transforms need not have.
-            None => Some(orthogonal(now)? * orthogonal(rest)?.transpose()),
-        });
-        turn.map(|turn| Since::Moved(transform, turn)).ok_or_else(|| {
-            let expected = "a transform with an inverse, where it rests and now";
-            SceneError::new(format!("bone {}", self.names[bone]), expected, "one without")
-        })
+            None => orthogonal_now * orthogonal(origin).unwrap_or_default().transpose(),
+        };
+        Since::Moved(transform, turn)
     }
 
-    fn follow_bone(
-        &self,
-        splats: &mut SplatArrays,
-        these: Range<usize>,
-        bone: usize,
-        pose: &Pose,
-        moved: DMat4,
-    ) -> Result<(), SceneError> {
-        match self.since_rest(bone, pose, moved)? {
+    fn follow_bone(&self, splats: &mut SplatArrays, these: Range<usize>, bone: usize, pose: &Pose, moved: DMat4) {
+        match self.since_rest(bone, pose, moved) {
             Since::Rested => {}
             Since::Gone => splats.opacity_logits[these].fill(HIDDEN),
             Since::Moved(transform, turned_by) => {
@@ -295,7 +332,6 @@ impl Rig {
                 turn(splats, these, turned_by);
             }
         }
-        Ok(())
     }
 
     fn follow_triangles(
@@ -303,12 +339,12 @@ impl Rig {
         splats: &mut SplatArrays,
         first: usize,
         binding: &Binding,
-        (rest, now): (&Mesh, &Mesh),
+        (rest, now): (Option<&Mesh>, &Mesh),
         pose: &Pose,
         (moved, unmoved): (DMat4, DQuat),
-    ) -> Result<(), SceneError> {
+    ) {
         let bone_turn = match binding.harmonics {
-            ShFrame::Bone(bone) => match self.since_rest(bone, pose, moved)? {
+            ShFrame::Bone(bone) => match self.since_rest(bone, pose, moved) {
                 Since::Moved(_, turn) => turn,
                 Since::Rested | Since::Gone => DMat3::IDENTITY,
             },
@@ -318,7 +354,7 @@ impl Rig {
             let i = first + j;
             let at = |mesh: &Mesh| corners.map(|v| mesh.positions().get(v as usize).copied());
             let places = at(now);
-            let turned_by = if places == at(rest) {
+            let turned_by = if rest.is_some_and(|rest| places == at(rest)) {
                 bone_turn
             } else {
                 let corners = places.map(|p| p.unwrap_or_default().as_dvec3());
@@ -339,7 +375,6 @@ impl Rig {
             };
             turn(splats, i..i + 1, turned_by);
         }
-        Ok(())
     }
 }
 
@@ -352,7 +387,7 @@ enum Since {
     Rested,
     /// Transform from the rest pose, and rotation of the view dependence.
     Moved(DMat4, DMat3),
-    /// The bone is scaled to zero, by which things are made to disappear.
+    /// The transform of the bone is flat, as where things are scaled to zero to make them disappear.
     Gone,
 }
 

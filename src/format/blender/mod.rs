@@ -26,6 +26,7 @@ use std::path::Path;
 use glam::DMat4;
 use serde_json::{Value, json};
 
+use super::error::Fault;
 use super::exchange::{self, Beside};
 use super::gltf::moving::Moving;
 use super::{FormatError, Loss, WriteReport, atomic_write};
@@ -71,7 +72,10 @@ pub(super) fn write(
         bytes = written.bytes;
         files.push(name);
     }
-    let mut beside = exchange::write(path, &stem, scene)?;
+    // The script itself hides splats while what they follow is flat.
+    let rig = moving.and_then(|(moving, _)| moving.rig());
+    let revealed = rig.map(|rig| rig.revealed(scene)).transpose().map_err(|e| Fault::from(e).in_file(path))?;
+    let mut beside = exchange::write(path, &stem, revealed.as_deref().unwrap_or(scene))?;
     beside.bytes += bytes;
     beside.files.append(&mut files);
     let script = script(&described(&stem, scene, cameras, &beside, &motion));

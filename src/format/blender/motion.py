@@ -257,8 +257,9 @@ def followed(splats, root, data, depsgraph):
         mean[these] = mean[these] @ linear.T + matrix[:3, 3]
         axes[these], scale[these] = ellipsoids(linear @ (axes[these] * scale[these][:, None]))
         left, sizes, right = np.linalg.svd(linear)
-        opacity[these] *= sizes[0] > 1e-12
-        turn[harmonics == thing["centaur bone"]] = left @ right if sizes[0] > 1e-12 else np.eye(3)
+        is_flat = sizes[2] <= 1e-12 * sizes[0]
+        opacity[these] *= not is_flat
+        turn[harmonics == thing["centaur bone"]] = np.eye(3) if is_flat else left @ right
     meshes = mesh_objects(root)
     for surface in np.unique(surfaces[surfaces >= 0]):
         these, thing = np.flatnonzero(surfaces == surface), meshes[surface]

@@ -2,7 +2,7 @@
 //!
 //! | array | shape | content |
 //! |---|---|---|
-//! | `bones`, `bones_rest` | frames × bones × 4 × 4, bones × 4 × 4 | transform from the space of the objects that follow a bone to the scene |
+//! | `bones`, `bones_rest` | frames × bones × 4 × 4, bones × 4 × 4 | transform from the space of the objects that follow a bone to the scene; at rest see [`Rig::origin`] |
 //! | `binds` | bones × 4 × 4 | bind transforms of skin joints in the space of the surface |
 //! | `weights` | frames × weights | weights of morph targets |
 //! | `meshI_base` | vertices × 3 | positions of mesh I before posing, vertices as in its PLY |
@@ -199,7 +199,8 @@ impl Arrays {
         self.add("bones", &[frames, count, 4, 4], &bones);
         self.add("weights", &[frames, targets], &weights);
         drop((bones, weights));
-        self.add("bones_rest", &[count, 4, 4], &of_pose(rig.rest()));
+        let origins: Vec<f64> = (0..count).flat_map(|bone| rows(moved * rig.origin(bone))).collect();
+        self.add("bones_rest", &[count, 4, 4], &origins);
         let binds: Vec<f64> = (0..count).flat_map(|b| rows(moving.bind(b).unwrap_or(DMat4::IDENTITY))).collect();
         self.add("binds", &[count, 4, 4], &binds);
         for (i, rest_surface) in rig.surfaces().iter().enumerate() {

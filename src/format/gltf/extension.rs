@@ -28,6 +28,8 @@ pub(crate) const WEBP: &str = "EXT_texture_webp";
 
 /// Extension for instances of a mesh at one node.
 pub(crate) const INSTANCING: &str = "EXT_mesh_gpu_instancing";
+/// Extension for animations of properties other than those of nodes.
+pub(crate) const ANIMATION_POINTER: &str = "KHR_animation_pointer";
 /// Extension for hidden nodes.
 pub(super) const VISIBILITY: &str = "KHR_node_visibility";
 
@@ -48,6 +50,11 @@ pub(crate) const OPACITY: &str = "KHR_gaussian_splatting:OPACITY";
 /// `extensions.name` of an object.
 pub(crate) fn extension_of<'a>(object: &'a Value, name: &str) -> Option<&'a Value> {
     object.get("extensions")?.get(name)
+}
+
+/// JSON pointer to the property that an animation channel animates by [`ANIMATION_POINTER`].
+pub(crate) fn animated_property(channel: &Value) -> Option<&str> {
+    extension_of(channel.get("target")?, ANIMATION_POINTER)?.get("pointer")?.as_str()
 }
 
 /// Attribute names of SH coefficients 0..(d+1)², in the order of `scene::sh::basis`.

@@ -106,12 +106,14 @@ fn copies_are_written_once_in_either_way() {
 fn splats_are_copied_and_those_of_no_extent_left_out() {
     let (mut b, attributes) = splats(false);
     let copies = copied(&json!({
-        "TRANSLATION": b.floats(&[[0.0f32; 3], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0]]),
-        "SCALE": b.floats(&[[1.0f32; 3], [2.0; 3], [0.0; 3]]),
+        "TRANSLATION": b.floats(&[[0.0f32; 3], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0], [9.0, 9.0, 9.0]]),
+        "SCALE": b.floats(&[[1.0f32; 3], [2.0; 3], [0.0; 3], [1.0, 0.0, 1.0]]),
     }));
     let mut document = splat_document(&attributes, khr());
     document["nodes"] = json!([{ "mesh": 0, "extensions": copies }]);
-    let found = b.read(document).unwrap().scene.splats;
+    let file = b.read(document).unwrap();
+    assert_eq!(file.notes, ["/nodes/0: splats under a flat transform are not drawn"]);
+    let found = file.scene.splats;
     let expected = [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [5.0, 0.0, 0.0], [7.0, 4.0, 6.0]];
     near(bytemuck::cast_slice(found.means()), expected.as_flattened(), 1e-6);
     near(&[found.log_scales()[2].x.exp()], &[2.0], 1e-6);

@@ -72,6 +72,8 @@ struct Group {
     atlas: Option<Atlas>,
     /// Rotation of view dependence with the surface, if the material's maps are view-dependent.
     turn: Option<DMat3>,
+    /// Whether the transform above view-dependent maps is flat, so that the surface is not drawn.
+    is_flat: bool,
     /// Surface before posing, if it is animated.
     rest_surface: Option<RestSurface>,
 }
@@ -113,6 +115,11 @@ impl<'a> Meshes<'a> {
             groups: vec![],
             shared: HashMap::new(),
         })
+    }
+
+    /// As [`Poses::moves`].
+    pub(super) fn moves(&self, node: usize) -> bool {
+        self.poses.moves(node)
     }
 
     /// Adds a primitive, or its instances `copies` if there are any; false if its mode has no triangles.
@@ -200,6 +207,10 @@ impl<'a> Meshes<'a> {
     ) -> Result<(), Fault> {
         let at = format!("/nodes/{}", node.index());
         let look = self.look((node, transform), primitive, &geometry, notes)?;
+        if look.is_flat {
+            // As `Rig::pose` does: where the node moves, other poses may show it.
+            geometry.positions.fill(transform.w_axis.truncate().as_vec3());
+        }
         let moves = self.poses.animates(&geometry.rest_surface, self.motion);
         let id = (node.index(), primitive.index());
         let is_bindable = self.wanted.contains(&id) && primitive.mode() == Mode::Triangles;
@@ -307,11 +318,12 @@ impl<'a> Meshes<'a> {
         // The transform of a skinned mesh's own node does not affect its appearance either.
         let seen_by = if node.skin().is_some() { self.frame } else { transform };
         if maps.atlas.sh_degree() > 0 && seen_by != DMat4::IDENTITY {
-            let turn = orthogonal(seen_by).ok_or_else(|| {
-                let expected = "an invertible transform above a mesh with view-dependent colour";
-                Fault::pointer(&at, expected, "one without")
-            })?;
-            group.turn = Some(turn).filter(|turn| *turn != DMat3::IDENTITY);
+            let turn = orthogonal(seen_by);
+            if turn.is_none() {
+                group.is_flat = true;
+                notes.push(format!("{at}: a mesh with view-dependent colour under a flat transform is not drawn"));
+            }
+            group.turn = turn.filter(|turn| *turn != DMat3::IDENTITY);
         }
         Ok(group)
     }

@@ -9,6 +9,7 @@
 //! | of glTF | becomes |
 //! |---|---|
 //! | node transforms | part of positions, splats and cameras; harmonics turn along |
+//! | splats, and meshes with view-dependent colour, below flat transforms | nothing, with a note; where the node moves, what poses show that give it an extent |
 //! | nodes that `KHR_node_visibility` makes invisible | nothing, with what is below, and a note |
 //! | copies by `EXT_mesh_gpu_instancing` | part of meshes and splats; where the node has a skin or splats are bound, one is shown, with a note |
 //! | primitives without `POSITION` | nothing, with a note |
@@ -22,7 +23,7 @@
 //! | cameras | pinholes; orthographic ones are left out, with a note |
 //!
 //! Files are refused that are no valid glTF 2.0, require an extension that is not understood here, or hold splats that
-//! cannot be represented: another kernel, a node that leaves them no extent along an axis, values that are not finite.
+//! cannot be represented: another kernel, values that are not finite.
 
 mod accessor;
 #[cfg(test)]

@@ -19,8 +19,8 @@ use super::{binding, camera, splats};
 use crate::format::activation::layers;
 use crate::format::content::Content;
 use crate::format::error::{Fault, from_value};
-use crate::format::placed::join;
-use crate::scene::rig::{Anchor, AttachedSplats, Rig};
+use crate::format::placed::{NOT_DRAWN, is_flat, join};
+use crate::scene::rig::{Anchor, AttachedSplats, HIDDEN, Rig};
 use crate::scene::{ColorSpace, Composition, HybridScene, SplatArrays, sh};
 
 /// Scene in the rest pose.
@@ -55,17 +55,23 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
                 notes.push(format!("{at}: left out: it has no POSITION"));
             } else if let Some(khr) = khr {
                 let stored = splats::read(asset, id, &primitive, khr, (space, is_stated), &mut notes)?;
-                let transforms: Vec<DMat4> = match &copies {
-                    Some(copies) => copies.iter().map(|local| *transform * *local).collect(),
-                    None => vec![*transform],
-                };
+                // What rests under a flat transform is held without it, hidden, for poses in which it is not flat.
+                let is_hidden = is_flat(*transform) && meshes.moves(node.index());
+                let above = if is_hidden { DMat4::IDENTITY } else { *transform };
+                let (transforms, note) = drawn(above, copies.as_deref());
+                notes.extend(note.map(|note| format!("{at_node}: {note}")));
+                if is_hidden {
+                    notes.push(format!("{at_node}: {NOT_DRAWN} in the rest pose"));
+                }
                 // The last instance takes the splats that were read, without a copy.
                 for (stored, transform) in std::iter::repeat_n(stored, transforms.len()).zip(transforms) {
-                    let part = stored.placed((node.index(), transform))?;
+                    let mut part = stored.placed(transform);
                     asset.spend(bytes_of(&part), &at_node)?;
                     let these = count..count + part.means.len();
+                    let hidden =
+                        is_hidden.then(|| std::mem::replace(&mut part.opacity_logits, vec![HIDDEN; these.len()]));
                     count = these.end;
-                    hung.push(Hung { splats: these, node: node.index(), transform, id, khr });
+                    hung.push(Hung { splats: these, hidden, node: node.index(), transform, id, khr });
                     parts.push((at.clone(), part));
                 }
             } else if !meshes.add((node, *transform), copies.as_deref(), &primitive, &mut notes)? {
@@ -100,10 +106,25 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     Ok((Content { scene, states_composition: is_stated, cameras, notes, y_up, record: None }, moving))
 }
 
+/// Transforms of the instances of splats below `above`, without flat ones, of which there is a note.
+fn drawn(above: DMat4, copies: Option<&[DMat4]>) -> (Vec<DMat4>, Option<&'static str>) {
+    let mut transforms: Vec<DMat4> = match copies {
+        Some(copies) => copies.iter().map(|local| above * *local).collect(),
+        None => vec![above],
+    };
+    let all = transforms.len();
+    transforms.retain(|transform| !is_flat(*transform));
+    let note = (transforms.len() < all).then_some(NOT_DRAWN);
+    (transforms, note)
+}
+
 /// Splats of a primitive at a node.
 struct Hung<'a> {
     splats: Range<usize>,
+    /// As [`AttachedSplats::hidden`].
+    hidden: Option<Vec<f32>>,
     node: usize,
+    /// Transform under which they are held.
     transform: DMat4,
     /// Primitive (mesh, index in the mesh), and its `KHR_gaussian_splatting`.
     id: (usize, usize),
@@ -118,7 +139,7 @@ impl Hung<'_> {
         read: &mut Finished,
         notes: &mut Vec<String>,
     ) -> Result<Option<AttachedSplats>, Fault> {
-        let Self { splats, node, transform, id, khr } = self;
+        let Self { splats, hidden, node, transform, id, khr } = self;
         let object = binding::object(khr, id)?;
         let moves = read.poses.moves(node);
         if let Some((at, SplatExtension { deformation: Some(_), .. })) = &object {
@@ -136,12 +157,13 @@ impl Hung<'_> {
                 Ok((to.moves || moves).then_some(binding))
             }) {
                 Ok(binding) => {
-                    return Ok(binding.map(|binding| AttachedSplats { splats, anchor: Anchor::Triangles(binding) }));
+                    let anchor = binding.map(Anchor::Triangles);
+                    return Ok(anchor.map(|anchor| AttachedSplats { splats, anchor, hidden }));
                 }
                 Err(reason) => notes.push(format!("{at}/binding: ignored: {reason}")),
             }
         }
-        Ok(moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)) }))
+        Ok(moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)), hidden }))
     }
 }
 

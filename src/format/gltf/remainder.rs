@@ -6,13 +6,10 @@ use std::fmt;
 use serde_json::Value;
 
 use super::extension::{
-    DRAFT_ROTATION, DRAFT_SCALE, EMISSIVE_STRENGTH, EXTRAS, HYBRID, INSTANCING, KHR_SPLATS, MOVED_NODE, ROTATION,
-    SCALE, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP, extension_of,
+    ANIMATION_POINTER, DRAFT_ROTATION, DRAFT_SCALE, EMISSIVE_STRENGTH, EXTRAS, HYBRID, INSTANCING, KHR_SPLATS,
+    MOVED_NODE, ROTATION, SCALE, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP, extension_of,
 };
 use super::{instancing, meshopt};
-
-/// Extension for animations of properties other than those of nodes.
-const ANIMATION_POINTER: &str = "KHR_animation_pointer";
 
 /// Part of a document that a scene does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -124,12 +124,12 @@ fn take_out(document: &mut Value) -> Vec<usize> {
 }
 
 /// Array under `key`.
-fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
+pub(super) fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
     object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
 }
 
 /// Keeps the wanted elements, by index and value, of the array under `key`; removes the array if it becomes empty.
-fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
+pub(super) fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
     let Some(array) = object.get_mut(key).and_then(Value::as_array_mut) else { return };
     let (mut index, count) = (0.., array.len());
     array.retain(|item| index.next().is_some_and(|i| is_wanted(i, item)));

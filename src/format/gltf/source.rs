@@ -11,12 +11,15 @@ use serde_json::{Map, Value, json};
 
 use super::buffer::Buffer;
 use super::container::Bin;
-use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SceneContract, extension_of};
+use super::extension::{
+    ANIMATION_POINTER, EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SceneContract, animated_property, extension_of,
+};
 use super::image::media_type;
 use super::lift::{Asset, give_scene};
 use super::motion::Clip;
 use super::moving::Moving;
 use super::remainder::{Remnant, Role, has_extras, remainder};
+use super::shot::{items, retain};
 use super::transform::is_ours;
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
@@ -35,7 +38,7 @@ use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TUR
 /// | none | written as it is, with one buffer |
 /// | translated, rotated, scaled ([`Source::follow`]) | gets a node above the scene with the transform |
 /// | another composition | the composition is set, unless the document has none and has splats of several colour spaces, or splats and triangles in one mesh: readers accept neither with a composition, so the document is dropped |
-/// | all cameras left out | cameras are removed |
+/// | all cameras left out | cameras are removed, and channels of `KHR_animation_pointer` that animate them |
 /// | cropped, thinned, fewer harmonics, joined, mirrored, other cameras | dropped: the scene is written anew, and [`Source::remainder`] lists what is lost. Copyright and the extras of asset, document and scene are kept |
 ///
 /// Equality with the scene as read is tested by fingerprints of its arrays.
@@ -160,8 +163,7 @@ impl Source {
     /// animation moves keep their values bit for bit.
     ///
     /// # Errors
-    /// If the scene has been changed otherwise than by [`Source::follow`], or the pose is not representable: a node
-    /// that flattens splats, non-finite numbers.
+    /// If the scene has been changed otherwise than by [`Source::follow`], or the pose has non-finite numbers.
     pub fn at(&self, scene: &HybridScene, time: f64) -> Result<HybridScene, SceneError> {
         self.moving.scene(scene, self.moved, time)
     }
@@ -195,6 +197,22 @@ impl Source {
     pub(in crate::format) fn unfound(&self) -> Vec<String> {
         let unfound = self.content.iter().flat_map(|content| &content.unfound);
         unfound.map(|uri| format!("the picture `{uri}`, which was not found")).collect()
+    }
+
+    /// What the document loses with its cameras, in a sentence, where these are left out of it.
+    pub(in crate::format) fn lost_with_cameras(&self, cameras: &[(String, Camera)]) -> Option<String> {
+        let animations = self.root.get("animations").and_then(Value::as_array).into_iter().flatten();
+        let channels = animations.filter_map(|animation| animation.get("channels")?.as_array()).flatten();
+        let lost = channels.filter(|channel| animates_camera(channel)).count();
+        (lost > 0 && self.drops_cameras(cameras)).then(|| {
+            let channels = if lost == 1 { "1 channel".to_owned() } else { format!("{lost} channels") };
+            format!("/animations: {channels} of {ANIMATION_POINTER} left out with the cameras animated by it")
+        })
+    }
+
+    /// Whether all cameras are left out of the document.
+    fn drops_cameras(&self, cameras: &[(String, Camera)]) -> bool {
+        cameras.is_empty() && self.cameras != fingerprint_of_cameras(cameras)
     }
 
     /// Removes parts with such a role from [`Source::remainder`], as not wanted.
@@ -278,7 +296,7 @@ impl Source {
     pub(super) fn document(&self, scene: &HybridScene, cameras: &[(String, Camera)]) -> (Value, Bin<'_>) {
         let (mut root, bin) = self.as_read();
         self.place(&mut root);
-        if cameras.is_empty() && self.cameras != fingerprint_of_cameras(cameras) {
+        if self.drops_cameras(cameras) {
             remove_cameras(&mut root);
         }
         if scene.composition != self.composition {
@@ -476,11 +494,29 @@ fn move_view(view: &mut Value, places: &[(usize, usize)]) {
     }
 }
 
+/// Removes all cameras, channels of animations that point to them, and animations that are left with none.
 fn remove_cameras(root: &mut Value) {
-    for node in root.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
+    for node in items(root, "nodes") {
         node.as_object_mut().map(|node| node.remove("camera"));
     }
     root.as_object_mut().map(|root| root.remove("cameras"));
+    let (mut is_used, mut was_used) = (false, false);
+    for animation in items(root, "animations") {
+        was_used |= items(animation, "channels").iter().any(animates_camera);
+        retain(animation, "channels", |_, channel| !animates_camera(channel));
+        is_used |= items(animation, "channels").iter().any(|channel| animated_property(channel).is_some());
+    }
+    retain(root, "animations", |_, animation| animation.get("channels").is_some());
+    if was_used && !is_used {
+        for key in ["extensionsUsed", "extensionsRequired"] {
+            retain(root, key, |_, name| name != ANIMATION_POINTER);
+        }
+    }
+}
+
+/// Whether an animation channel animates a camera.
+fn animates_camera(channel: &Value) -> bool {
+    animated_property(channel).is_some_and(|pointer| pointer.starts_with("/cameras/"))
 }
 
 /// Object under `key`, created if missing.

@@ -285,6 +285,35 @@ fn cameras_and_the_rule_change_within_the_document() {
     assert!(error.ends_with(&place), "{error}");
 }
 
+#[test]
+fn what_animates_cameras_goes_with_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (b, mut document) = rich();
+    let pointer = json!({ "KHR_animation_pointer": { "pointer": "/cameras/0/perspective/yfov" } });
+    document["animations"][0]["channels"][0]["target"]["extensions"] = pointer;
+    let mut alone = document["animations"][0].clone();
+    alone["channels"].as_array_mut().unwrap().truncate(1);
+    let other = document["animations"][0]["channels"][1].clone();
+    document["animations"].as_array_mut().unwrap().push(alone);
+    document["extensionsUsed"] = json!(["EXT_unknown", "KHR_animation_pointer"]);
+    std::fs::write(at("in.gltf"), b.file(&document)).unwrap();
+    let file = read_file(&at("in.gltf"), &KEEP).unwrap();
+    for (cameras, expected) in [
+        (&file.cameras[..], &[][..]),
+        (&[], &["/animations: 2 channels of KHR_animation_pointer left out with the cameras animated by it"]),
+    ] {
+        let options = WriteOptions { cameras, source: file.source.as_ref(), ..WriteOptions::default() };
+        let report = write_scene(&at("out.glb"), &file.scene, &options).unwrap();
+        assert!(report.loss.is_none(), "{}", report.loss);
+        assert_eq!(report.notes, expected);
+    }
+    let (json, _) = opened(&at("out.glb"));
+    let animations = json["animations"].as_array().unwrap();
+    assert_eq!((animations.len(), &animations[0]["channels"]), (1, &json!([other])));
+    assert_eq!(json["extensionsUsed"], json!(["EXT_unknown"]));
+}
+
 /// In other documents the scene is written anew, which every reader accepts.
 #[test]
 fn a_rule_is_set_only_in_documents_that_may_have_one() {

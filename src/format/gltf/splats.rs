@@ -24,11 +24,11 @@ pub(super) struct Stored {
 }
 
 impl Stored {
-    /// Applies the transform of a node.
-    pub(super) fn placed(self, (node, transform): (usize, DMat4)) -> Result<SplatArrays, Fault> {
+    /// Applies the transform of a node, which is not flat.
+    pub(super) fn placed(self, transform: DMat4) -> SplatArrays {
         let Self { mut splats, frame } = self;
-        place(&mut splats, transform * frame, &format!("/nodes/{node}"))?;
-        Ok(splats)
+        place(&mut splats, transform * frame);
+        splats
     }
 }
 

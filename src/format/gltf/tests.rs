@@ -1,7 +1,7 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, Vec3};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -146,7 +146,7 @@ fn a_moved_root_moves_everything() {
     json["nodes"][root]["translation"] = json!([1, 2, 3]);
     let moved = read_bytes(&with_json(&glb, &json)).unwrap();
     // y and z are negated in the frame of captures.
-    let offset = glam::Vec3::new(1.0, -2.0, -3.0);
+    let offset = Vec3::new(1.0, -2.0, -3.0);
     for (a, b) in scene.splats.means().iter().zip(moved.scene.splats.means()) {
         assert!((*a + offset - *b).length() < 1e-6);
     }
@@ -290,16 +290,35 @@ fn foreign_nodes_turn_splats_and_their_harmonics() {
         let volume = |s: &Splats| s.log_scales()[i].as_dvec3().element_sum();
         assert!((volume(&stretched) - volume(&scene.splats) - 6f64.ln()).abs() < 1e-5);
     }
-    json["nodes"][0]["scale"] = json!([1, 0, 2]);
-    let message = read_bytes(&with_json(&glb, &json)).unwrap_err();
-    assert_eq!(message, "f: /nodes/0: expected an invertible transform above splats, found one without");
+}
+
+/// Scaled to zero is a common way to hide.
+#[test]
+fn a_part_under_a_flat_transform_is_not_drawn_and_the_other_is() {
+    let scene = random_scene(4, 1, 2, 6);
+    let glb = bytes_of(&scene, &[]);
+    for scale in [[0, 0, 0], [1, 0, 2]] {
+        let read = |node: usize| {
+            let mut json = json_of(&glb);
+            json["nodes"][node]["scale"] = json!(scale);
+            read_bytes(&with_json(&glb, &json)).unwrap()
+        };
+        let file = read(0);
+        let expected = "/nodes/0: a mesh with view-dependent colour under a flat transform is not drawn";
+        assert_eq!(file.notes, [expected]);
+        assert!(file.scene.meshes[0].positions().iter().all(|p| *p == Vec3::ZERO));
+        assert_eq!(file.scene.splats.means(), scene.splats.means());
+        let file = read(1);
+        assert_eq!(file.notes, ["/nodes/1: splats under a flat transform are not drawn"]);
+        assert_eq!((file.scene.splats.len(), &file.scene.meshes), (0, &scene.meshes));
+    }
 }
 
 #[test]
 fn extreme_opacities_and_scales_stay_finite() {
     let one = random_splats(1, 0, 1);
     let extreme = |logit: f32, log_scale: f32| {
-        let scales = vec![glam::Vec3::splat(log_scale)];
+        let scales = vec![Vec3::splat(log_scale)];
         Splats::new(one.means().to_vec(), one.rotations().to_vec(), scales, vec![logit], 0, one.sh().to_vec()).unwrap()
     };
     for (logit, log_scale) in [(200.0, 200.0), (-200.0, -200.0)] {

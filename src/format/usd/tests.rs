@@ -429,12 +429,6 @@ fn what_cannot_be_taken_over_is_refused_in_one_line() {
             Some("/a.usda: /S: expected a non-zero quaternion, found [0, 0, 0, 0] in rotations[0]"),
         ),
         (
-            splats(&format!(
-                "{one} float3 xformOp:scale = (1, 0, 2) uniform token[] xformOpOrder = [\"xformOp:scale\"]"
-            )),
-            Some("/a.usda: /S: expected an invertible transform above splats, found one without"),
-        ),
-        (
             splats("uniform token[] xformOpOrder = [\"xformOp:scale\"]"),
             Some("/a.usda: /S.xformOp:scale: expected finite numbers of an xformOp, found 0 numbers"),
         ),
@@ -461,6 +455,18 @@ fn what_cannot_be_taken_over_is_refused_in_one_line() {
             None => assert_eq!(read_text(&text).scene.splats.len(), 1),
         }
     }
+}
+
+#[test]
+fn splats_under_a_flat_transform_are_not_drawn() {
+    let ops = "float3 xformOp:scale = (1, 0, 2) uniform token[] xformOpOrder = [\"xformOp:scale\"]";
+    let splats = |name: &str, more: &str| {
+        format!("def ParticleField3DGaussianSplat \"{name}\" {{ point3f[] positions = [(0,0,0)] {more} }}\n")
+    };
+    let file = read_text(&format!("{}{}", splats("S", ops), splats("T", "")));
+    assert_eq!(file.scene.splats.len(), 1);
+    let said = "/S: splats under a flat transform are not drawn";
+    assert!(file.notes.iter().any(|note| note == said), "{:?}", file.notes);
 }
 
 #[test]

@@ -15,7 +15,7 @@ use crate::format::cameras::short;
 use crate::format::content::Content;
 use crate::format::error::Fault;
 use crate::format::gltf::extension::parse_color_space;
-use crate::format::placed::{self, join};
+use crate::format::placed::{self, NOT_DRAWN, join};
 use crate::scene::frame::HALF_TURN;
 use crate::scene::{ColorSpace, Composition, HybridScene, OrderMode, PixelFilter};
 
@@ -48,8 +48,11 @@ pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<Content, Fault> 
         match prim.type_name.as_str() {
             SPLATS => {
                 let mut part = splats::read(&stage, found.prim, &mut notes)?;
-                placed::place(&mut part, found.transform, &at())?;
-                parts.push((at(), part));
+                if placed::place(&mut part, found.transform) {
+                    parts.push((at(), part));
+                } else {
+                    notes.push(format!("{}: {NOT_DRAWN}", at()));
+                }
             }
             "Mesh" => meshes.extend(surfaces::read(&stage, &found, &mut materials, &mut notes)?),
             "Camera" => match views::read(&stage, found.prim, found.transform, to_scene) {

@@ -58,7 +58,7 @@ fn bound(harmonics: ShFrame) -> (HybridScene, Rig) {
         skinning: Skinning::Bone(0),
     };
     let rest = Pose { bones: vec![DMat4::IDENTITY; 2], weights: vec![0.0] };
-    let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Triangles(binding) }];
+    let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Triangles(binding), hidden: None }];
     (
         scene(splats, vec![mesh(&CORNERS, 0)]),
         Rig::new(vec![Some(rest_surface)], attached, rest.clone(), names(&rest)).unwrap(),
@@ -203,7 +203,7 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     let rest_surface = RestSurface { base: CORNERS.to_vec(), targets: vec![], skinning: Skinning::Bone(0) };
     let rest = Pose { bones: vec![rest_bone], weights: vec![] };
     let scene = scene(splats, vec![mesh(&rest_surface.positions(&rest), 2)]);
-    let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0) }];
+    let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0), hidden: None }];
     let rig = Rig::new(vec![Some(rest_surface)], attached, rest.clone(), names(&rest)).unwrap();
     let by = similarity_of(0.5, DQuat::from_rotation_y(0.9), DVec3::Z);
     let posed = rig.pose(&scene, &Pose { bones: vec![by * rest_bone], weights: vec![] }, DMat4::IDENTITY).unwrap();
@@ -232,12 +232,43 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
     let only_mesh = Rig::new(rig.surfaces().to_vec(), vec![], rig.rest().clone(), names(rig.rest())).unwrap();
     let gone = only_mesh.pose(&scene, &nothing, DMat4::IDENTITY).unwrap();
     assert!(gone.meshes[0].positions().iter().all(|p| *p == Vec3::ZERO) && gone.splats == scene.splats);
-    // Scaled to a plane, a splat is not representable, and its harmonics have no rotation.
-    let plane = Pose { bones: vec![DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))], weights: vec![] };
-    let error = hidden.pose(&scene, &plane, DMat4::IDENTITY).unwrap_err().to_string();
-    let expected = "bone joint 0: expected a transform with an inverse, where it rests and now, found one without";
-    assert_eq!(error, expected);
-    assert!(only_mesh.pose(&scene, &plane, DMat4::IDENTITY).is_err());
+    // Scaled to a plane, a splat is not representable, and view dependence has no rotation.
+    let flat = DMat4::from_translation(DVec3::Y) * DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0));
+    let plane = Pose { bones: vec![flat], weights: vec![] };
+    assert_eq!(hidden.pose(&scene, &plane, DMat4::IDENTITY).unwrap().splats.opacity_logits(), [HIDDEN]);
+    let gone = only_mesh.pose(&scene, &plane, DMat4::IDENTITY).unwrap();
+    assert!(gone.meshes[0].positions().iter().all(|p| *p == Vec3::Y));
+}
+
+/// What rests under a flat transform is held in the space of its bone, and splats are hidden.
+#[test]
+fn what_is_flat_as_it_rests_is_shown_in_other_poses() {
+    let moved = similarity_of(0.5, DQuat::from_rotation_x(0.3), DVec3::X);
+    let bone = DMat4::from_translation(DVec3::Z) * DMat4::from_scale(DVec3::new(1.0, 2.0, 1.0));
+    for flat in [DMat4::ZERO, DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))] {
+        let held = one_splat(Vec3::new(1.0, 2.0, 3.0), Quat::from_rotation_x(0.2), 0.3);
+        let rest = Pose { bones: vec![flat], weights: vec![] };
+        let hidden = Some(held.opacity_logits().to_vec());
+        let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0), hidden }];
+        let rest_surface = RestSurface { base: CORNERS.to_vec(), targets: vec![], skinning: Skinning::Bone(0) };
+        let surfaces = vec![Some(rest_surface)];
+        let rig = Rig::new(surfaces, attached, rest.clone(), names(&rest)).unwrap();
+        let mut arrays = held.clone().into_arrays();
+        arrays.opacity_logits.fill(HIDDEN);
+        assert!(place(&mut arrays, 0..1, moved));
+        let atlas = turned(mesh(&CORNERS, 2).atlas(), orthogonal(moved).unwrap()).unwrap();
+        let point = mesh(&[moved.transform_point3(DVec3::ZERO).as_vec3(); 3], 2).with_atlas(atlas);
+        let resting = scene(arrays.check().unwrap(), vec![point]);
+        assert_eq!(rig.pose(&resting, &rest, moved).unwrap(), resting);
+        let revealed = rig.revealed(&resting).unwrap();
+        assert_eq!(revealed.splats.opacity_logits(), held.opacity_logits());
+        let posed = rig.pose(&resting, &Pose { bones: vec![bone], weights: vec![] }, moved).unwrap();
+        let mut expected = held.into_arrays();
+        assert!(place(&mut expected, 0..1, moved * bone));
+        same_splats(&posed.splats, &expected.check().unwrap(), 5e-6);
+        assert_eq!(posed.splats.opacity_logits(), revealed.splats.opacity_logits());
+        near(posed.meshes[0].positions()[1].as_dvec3(), (moved * bone).transform_point3(DVec3::X), 1e-6);
+    }
 }
 
 /// View dependence follows the transform alone, whatever the rest pose of the bone: rotated below a node that
@@ -260,7 +291,7 @@ fn what_is_seen_turns_by_the_orthogonal_part_of_a_bone() {
     for (rest_bone, bone) in [(stretch, stretch * turn), (turn, mirror * stretch * turn), (mirror, turn * stretch)] {
         let rest_surface = RestSurface { base: CORNERS.to_vec(), targets: vec![], skinning: Skinning::Bone(0) };
         let rest = Pose { bones: vec![rest_bone], weights: vec![] };
-        let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0) }];
+        let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Bone(0), hidden: None }];
         let rig = Rig::new(vec![Some(rest_surface)], attached, rest.clone(), names(&rest)).unwrap();
         let posed = rig.pose(&seen(rest_bone), &Pose { bones: vec![bone], weights: vec![] }, DMat4::IDENTITY).unwrap();
         let expected = seen(bone);
@@ -300,6 +331,7 @@ fn what_does_not_fit_together_is_refused() {
     assert!(with(&|f, _| f.targets[0].deltas.push(Vec3::X)).unwrap_err().starts_with("deltas:"));
     assert!(with(&|_, f| f.splats = 0..2).unwrap_err().starts_with("corners:"));
     assert!(with(&|_, f| f.anchor = Anchor::Bone(7)).unwrap_err().starts_with("bone:"));
+    assert!(with(&|_, f| f.hidden = Some(vec![])).unwrap_err().starts_with("opacities of hidden splats:"));
     let skin =
         |width: usize, weights: &[f32]| Skinning::Skin { width, bones: vec![0; 3 * width], weights: weights.to_vec() };
     assert_eq!(with(&|f, _| f.skinning = skin(1, &[0.5; 3])), Ok(()));

@@ -6,6 +6,7 @@ mod container;
 mod document;
 mod extensions;
 mod fields;
+mod flat;
 mod hybrid;
 mod moving;
 mod pictures;
@@ -37,6 +38,7 @@ pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     pictures::check(&document, findings);
     moving::check(&document, findings);
     splats::check(&document, findings);
+    flat::check(&document, findings);
     hybrid::check(&document, findings);
     // A sound file may still require features that a reader lacks.
     if !findings.has_errors() {

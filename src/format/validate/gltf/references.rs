@@ -1,9 +1,10 @@
-//! Validation of indices that refer to objects in arrays.
+//! Validation of indices that refer to objects in arrays, and of JSON pointers of animations.
 
 use serde_json::Value;
 
 use super::super::Findings;
-use super::schema::escaped;
+use super::schema::{escaped, shown};
+use crate::format::gltf::extension::{ANIMATION_POINTER, animated_property};
 
 /// Paths of index properties (`*` is any item or property), and the arrays to which they refer.
 const REFERENCES: [(&str, &str); 51] = [
@@ -87,8 +88,22 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
                 let expected = format!("an index below {samplers}, the number of samplers of the animation");
                 findings.error("INDEX_RANGE", format!("{at}/sampler"), expected, sampler);
             }
+            if let Some(pointer) = animated_property(channel).filter(|pointer| !is_defined(root, pointer)) {
+                let at = format!("{at}/target/extensions/{ANIMATION_POINTER}/pointer");
+                let expected = "a property of an object of the document";
+                findings.error("ANIMATION_POINTER", at, expected, shown(&pointer.into()));
+            }
         }
     }
+}
+
+/// Whether the object that has an animated property, or an element of one, is there; the property itself may have a
+/// default.
+fn is_defined(root: &Value, pointer: &str) -> bool {
+    let Some((object, last)) = pointer.rsplit_once('/') else { return false };
+    let is_element = last.parse::<usize>().is_ok();
+    let object = if is_element { object.rsplit_once('/').map_or("", |(object, _)| object) } else { object };
+    root.pointer(object).is_some_and(Value::is_object)
 }
 
 fn visit(value: &Value, steps: &[&str], at: &mut String, found: &mut impl FnMut(&str, &Value)) {

@@ -27,13 +27,9 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
 
 fn check_nodes(root: &Value, findings: &mut Findings) {
     let nodes: Vec<(String, &Value)> = objects(root, "nodes", "").collect();
-    let children = |node: &Value| -> Vec<usize> {
-        let list = node.get("children").and_then(Value::as_array).into_iter().flatten();
-        list.filter_map(Value::as_u64).map(|i| i as usize).filter(|&i| i < nodes.len()).collect()
-    };
     let mut parent: Vec<Option<usize>> = vec![None; nodes.len()];
     for (i, (at, node)) in nodes.iter().enumerate() {
-        for child in children(node) {
+        for child in children(node, nodes.len()) {
             let first = *parent[child].get_or_insert(i);
             if first != i {
                 let expected = format!("one parent of node {child}");
@@ -104,7 +100,13 @@ fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut 
     }
 }
 
-fn numbers(value: Option<&Value>) -> Vec<f64> {
+/// Children of a node that are among `nodes` nodes.
+pub(super) fn children(node: &Value, nodes: usize) -> Vec<usize> {
+    let list = node.get("children").and_then(Value::as_array).into_iter().flatten();
+    list.filter_map(Value::as_u64).map(|i| i as usize).filter(|&i| i < nodes).collect()
+}
+
+pub(super) fn numbers(value: Option<&Value>) -> Vec<f64> {
     value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64).collect()
 }
 

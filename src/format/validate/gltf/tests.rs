@@ -219,16 +219,28 @@ fn primitive(file: &mut File, mesh: usize) -> &mut Value {
     &mut file.json["meshes"][mesh]["primitives"][0]
 }
 
-/// The node that holds the surface.
-fn surface_node(file: &mut File) -> &mut Value {
+/// The node that holds a mesh.
+fn node_of(file: &mut File, mesh: usize) -> &mut Value {
     let nodes = file.json["nodes"].as_array_mut().unwrap();
-    nodes.iter_mut().find(|node| node["mesh"] == json!(SURFACE)).unwrap()
+    nodes.iter_mut().find(|node| node["mesh"] == json!(mesh)).unwrap()
 }
 
-/// Adds instances of the surface.
-fn copied(file: &mut File, attributes: &Value) {
+/// The node that holds the surface.
+fn surface_node(file: &mut File) -> &mut Value {
+    node_of(file, SURFACE)
+}
+
+/// Adds instances of a mesh.
+fn copied(file: &mut File, mesh: usize, attributes: &Value) {
     declare(file, "EXT_mesh_gpu_instancing");
-    surface_node(file)["extensions"] = json!({ "EXT_mesh_gpu_instancing": { "attributes": attributes } });
+    node_of(file, mesh)["extensions"] = json!({ "EXT_mesh_gpu_instancing": { "attributes": attributes } });
+}
+
+/// Animates a property by its JSON pointer.
+fn pointed(file: &mut File, pointer: &str) {
+    declare(file, "KHR_animation_pointer");
+    let target = json!({ "path": "pointer", "extensions": { "KHR_animation_pointer": { "pointer": pointer } } });
+    file.json["animations"][0]["channels"][0]["target"] = target;
 }
 
 /// Binds all vertices of the surface to one joint of the skin.

@@ -2,7 +2,9 @@
 
 use serde_json::json;
 
-use super::{FLOAT, Planted, SPLATS, SURFACE, U16, copied, declare, everything, primitive, skinned, surface_node};
+use super::{
+    FLOAT, Planted, SPLATS, SURFACE, U16, copied, declare, everything, pointed, primitive, skinned, surface_node,
+};
 
 pub(super) const PLANTED: &[Planted] = &[
     // The schema.
@@ -30,6 +32,7 @@ pub(super) const PLANTED: &[Planted] = &[
         f.json["materials"][0]["extensions"]["KHR_materials_pbrSpecularGlossiness"] = diffuse;
     }),
     ("INDEX_RANGE", "/channels/0/sampler", |f| f.json["animations"][0]["channels"][0]["sampler"] = json!(1)),
+    ("ANIMATION_POINTER", "/KHR_animation_pointer/pointer", |f| pointed(f, "/cameras/1/perspective/yfov")),
     // Extensions.
     ("EXTENSION_UNDECLARED", "/materials/0/extensions/KHR_materials_unlit", |f| {
         f.json["extensionsUsed"].as_array_mut().unwrap().retain(|e| e != "KHR_materials_unlit");
@@ -74,11 +77,11 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SCENE_ROOT", "/scenes/0/nodes/1", |f| f.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(json!(0))),
     ("COPIES_COUNT", "/EXT_mesh_gpu_instancing/attributes/TRANSLATION", |f| {
         let (turns, places) = (f.floats("VEC4", &[0., 0., 0., 1.]), f.floats("VEC3", &[0.0; 6]));
-        copied(f, &json!({ "ROTATION": turns, "TRANSLATION": places }));
+        copied(f, SURFACE, &json!({ "ROTATION": turns, "TRANSLATION": places }));
     }),
     ("COPIES_ATTRIBUTE", "/EXT_mesh_gpu_instancing/attributes/SCALE", |f| {
         let scales = f.accessor("VEC3", U16, &[1.0; 3]);
-        copied(f, &json!({ "SCALE": scales }));
+        copied(f, SURFACE, &json!({ "SCALE": scales }));
     }),
     ("PRIMITIVE_POSITION", "/attributes", |f| {
         drop(primitive(f, SURFACE)["attributes"].as_object_mut().unwrap().remove("POSITION"));
@@ -178,4 +181,26 @@ fn what_is_stored_nowhere_is_zero() {
     let compressed = json!({ "bufferView": 0, "attributes": { "NORMAL": 0 } });
     primitive(&mut file, SURFACE)["extensions"]["KHR_draco_mesh_compression"] = compressed;
     assert_eq!(file.codes(), [""; 0]);
+}
+
+/// What an animation points to may have a default where the object that has it is there.
+#[test]
+fn pointers_lead_to_properties_of_what_is_there() {
+    for (pointer, is_defined) in [
+        ("/nodes/0/rotation", true),
+        ("/nodes/0/weights/1", true),
+        ("/cameras/0/perspective/yfov", true),
+        ("/materials/0/extensions/KHR_materials_unlit/any", true),
+        ("/extras", true),
+        ("/nodes/99/rotation", false),
+        ("/cameras/0/orthographic/xmag", false),
+        ("/materials/0/extensions/KHR_none/any", false),
+        ("nodes/0/rotation", false),
+        ("", false),
+    ] {
+        let mut file = everything();
+        pointed(&mut file, pointer);
+        let expected: &[&str] = if is_defined { &[] } else { &["ANIMATION_POINTER"] };
+        assert_eq!(file.codes(), expected, "{pointer}");
+    }
 }

@@ -1,8 +1,8 @@
 //! Faults in `KHR_gaussian_splatting`.
 
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::{KHR, Planted, SPLATS, U16, primitive};
+use super::{KHR, Planted, SPLATS, SURFACE, U16, copied, everything, node_of, primitive};
 
 pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_REQUIRED", "/extensions/KHR_gaussian_splatting", |f| {
@@ -42,9 +42,31 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SPLAT_SCALE_NEGATIVE", "/attributes/KHR_gaussian_splatting:SCALE", |f| {
         f.set_float(f.attribute(SPLATS, "KHR_gaussian_splatting:SCALE"), 2, 3, -0.5);
     }),
+    ("SPLAT_FLAT", "/nodes/", |f| node_of(f, SPLATS)["scale"] = json!([1, 0, 1])),
+    ("SPLAT_FLAT", "/nodes/", |f| {
+        let top = f.json["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
+        f.json["nodes"][top]["scale"] = json!([0, 0, 0]);
+    }),
+    ("SPLAT_FLAT", "/EXT_mesh_gpu_instancing/attributes/SCALE", |f| {
+        let scales = f.floats("VEC3", &[1., 1., 1., 0., 0., 0., 1., 0., 1.]);
+        copied(f, SPLATS, &json!({ "SCALE": scales }));
+    }),
     ("SPLAT_FALLBACK_COLOR", "/attributes/COLOR_0", |f| {
         let dc = f.attribute(SPLATS, "KHR_gaussian_splatting:SH_DEGREE_0_COEF_0");
         f.set_float(dc, 1, 3, 9.0);
         f.set_float(dc, 2, 3, -9.0);
     }),
 ];
+
+#[test]
+fn flat_transforms_that_move_or_have_no_splats_below_are_no_fault() {
+    let mut file = everything();
+    node_of(&mut file, SURFACE)["scale"] = json!([0, 0, 0]);
+    assert_eq!(file.codes(), [""; 0]);
+    node_of(&mut file, SPLATS)["scale"] = json!([0, 0, 0]);
+    assert_eq!(file.codes(), ["SPLAT_FLAT"]);
+    let is_splats = |node: &Value| node["mesh"] == json!(SPLATS);
+    let node = file.json["nodes"].as_array().unwrap().iter().position(is_splats).unwrap();
+    file.json["animations"][0]["channels"][0]["target"]["node"] = json!(node);
+    assert_eq!(file.codes(), [""; 0]);
+}

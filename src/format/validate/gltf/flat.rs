@@ -1,0 +1,96 @@
+//! Validation of transforms above splats: below flat ones, which have no inverse, splats are not drawn.
+
+use std::collections::HashSet;
+
+use glam::{DMat4, DQuat, DVec3, DVec4};
+use serde_json::Value;
+
+use super::super::{Findings, Offenders};
+use super::document::Document;
+use super::scenes::{children, numbers};
+use super::{extension, index, objects};
+use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
+use crate::scene::placement::is_flat;
+
+const CODE: &str = "SPLAT_FLAT";
+
+/// Reports splats below flat transforms, except where an animation moves these.
+pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
+    let nodes: Vec<(String, &Value)> = objects(document.root, "nodes", "").collect();
+    let (of_splats, moving) = (meshes_of_splats(document.root), moving_nodes(document.root));
+    let below: HashSet<usize> = nodes.iter().flat_map(|(_, node)| children(node, nodes.len())).collect();
+    let tops = (0..nodes.len()).filter(|i| !below.contains(i));
+    let mut stack: Vec<(usize, DMat4, bool)> = tops.map(|i| (i, DMat4::IDENTITY, false)).collect();
+    let mut seen = vec![false; nodes.len()];
+    while let Some((i, above, moves)) = stack.pop() {
+        // A node of several parents is a fault of its own.
+        if std::mem::replace(&mut seen[i], true) {
+            continue;
+        }
+        let (at, node) = &nodes[i];
+        let (transform, moves) = (above * linear(node), moves || moving.contains(&i));
+        if index(node, "mesh").is_some_and(|mesh| of_splats.contains(&mesh)) {
+            if is_flat(transform) && !moves {
+                let expected = "an invertible transform above splats, else they are not drawn";
+                findings.warning(CODE, at, expected, "a flat one");
+            } else {
+                check_copies(document, node, at, findings);
+            }
+        }
+        stack.extend(children(node, nodes.len()).into_iter().map(|child| (child, transform, moves)));
+    }
+}
+
+/// Reports instances without extent along an axis; those without any are hidden on purpose.
+fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut Findings) {
+    let Some((at, copies)) = extension(node, INSTANCING, at) else { return };
+    let accessor = copies.pointer("/attributes/SCALE").and_then(Value::as_u64);
+    let scales = accessor.and_then(|i| document.elements(i as usize)).filter(|scales| scales.components == 3);
+    let Some(scales) = scales else { return };
+    let mut offenders = Offenders::default();
+    for i in 0..scales.count {
+        let scale = scales.vector::<3>(i);
+        if scale.contains(&0.0) && scale != [0.0; 3] {
+            offenders.note(|| format!("{scale:?} of copy {i}"));
+        }
+    }
+    if let Some(found) = offenders.summary(scales.count) {
+        let expected = "scales of splats other than 0, else they are not drawn";
+        findings.warning(CODE, format!("{at}/attributes/SCALE"), expected, found);
+    }
+}
+
+/// Meshes with splats.
+fn meshes_of_splats(root: &Value) -> HashSet<usize> {
+    let is_of_splats = |(at, mesh): &(String, &Value)| {
+        objects(mesh, "primitives", at).any(|(_, primitive)| extension_of(primitive, KHR_SPLATS).is_some())
+    };
+    let meshes = objects(root, "meshes", "").enumerate();
+    meshes.filter(|(_, mesh)| is_of_splats(mesh)).map(|(i, _)| i).collect()
+}
+
+/// Nodes whose own transform is animated.
+fn moving_nodes(root: &Value) -> HashSet<usize> {
+    let mut moving = HashSet::new();
+    for (at, animation) in objects(root, "animations", "") {
+        moving.extend(objects(animation, "channels", &at).filter_map(|(_, channel)| {
+            let target = channel.get("target")?;
+            let path = target.get("path")?.as_str()?;
+            index(target, "node").filter(|_| ["translation", "rotation", "scale"].contains(&path))
+        }));
+    }
+    moving
+}
+
+/// Local transform of a node, without its translation, in single precision as readers have it. Parts that are malformed
+/// count as absent.
+fn linear(node: &Value) -> DMat4 {
+    let single = |key: &str| numbers(node.get(key)).into_iter().map(|v| f64::from(v as f32)).collect::<Vec<f64>>();
+    if let Ok(matrix) = <[f64; 16]>::try_from(single("matrix")) {
+        return DMat4::from_cols_array(&matrix);
+    }
+    let scale = <[f64; 3]>::try_from(single("scale")).map_or(DVec3::ONE, DVec3::from);
+    let rotation = <[f64; 4]>::try_from(single("rotation")).ok().and_then(|q| DVec4::from(q).try_normalize());
+    let rotation = rotation.map_or(DQuat::IDENTITY, DQuat::from_vec4);
+    DMat4::from_scale_rotation_translation(scale, rotation, DVec3::ZERO)
+}
