@@ -1,4 +1,4 @@
-// Gradients of the blend with respect to mesh layers and, as moments, to splats.
+// Gradients of the blend with respect to mesh layers and, as sums over pixels, to splats.
 //
 // Splats are replayed in forward order: with t the bucket's transmittance so far and q = g·(colour still to come),
 // ∂L/∂α = P·(t·g·c − q_after/(1−α)), where P is the transmittance before the bucket; no division by small t.
@@ -11,10 +11,10 @@
 // are held fixed in it, and mesh layers are not affected. A thread owns PER_THREAD pixels of one tile column (dx is
 // common to them) and sums those in registers; lanes are summed by the subgroup, and subgroups through workgroup
 // memory, which does all of it without subgroups. The tile's sums are written to a row of their own, beside those of
-// the splat's other tiles: nothing is added by atomics, whose order would differ from run to run. `sum_moments` adds up
+// the splat's other tiles: nothing is added by atomics, whose order would differ from run to run. `sum_pairs` adds up
 // the rows of a splat, `splat_backward` turns the sums into parameter gradients. There are rows for pairs with numbers
 // from WINDOW_START to before WINDOW_END; if an adapter binds too little for all rows, everything is done once for each
-// window. Per pair and pixel: 1 exp, ~40 flops, no memory; per pair: 56 + 4·LAYERS bytes read, 4·MOMENTS written.
+// window. Per pair and pixel: 1 exp, ~40 flops, no memory; per pair: 56 + 4·LAYERS bytes read, 4·SUMS written.
 //#import shared/view.wgsl
 //#import shared/blend.wgsl
 
@@ -25,7 +25,7 @@
 @group(0) @binding(4) var<storage, read> image_gradient: array<vec4f>;   // ∂L/∂rgb, and by the disparity Σw/z
 @group(0) @binding(5) var<storage, read> buckets: array<vec4f>;
 @group(0) @binding(6) var<storage, read> ends: array<vec2u>;
-@group(0) @binding(7) var<storage, read_write> rows: array<f32>;         // [number within the window][MOMENTS]
+@group(0) @binding(7) var<storage, read_write> rows: array<f32>;         // [number within the window][SUMS]
 //#if LAYERS
 @group(0) @binding(8) var<storage, read> thresholds: array<f32>;
 @group(0) @binding(9) var<storage, read> layer_depth: array<f32>;
@@ -45,7 +45,7 @@ var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
 var<workgroup> batch_bucket: array<u32, BATCH>;
 //#end
 //#if SUBGROUPS
-// [subgroup][splat of the batch][moment], for as many splats as there is room for.
+// [subgroup][splat of the batch][SUMS], for as many splats as there is room for.
 const SUM_FLOATS: u32 = 2560u;
 var<workgroup> sums_of_batch: array<f32, SUM_FLOATS>;
 //#else
@@ -55,13 +55,13 @@ const CHUNK: u32 = 3u;
 //#else
 const CHUNK: u32 = 4u;
 //#end
-var<workgroup> partial: array<f32, CHUNK * MOMENTS * THREADS>;
+var<workgroup> partial: array<f32, CHUNK * SUMS * THREADS>;
 //#end
 var<workgroup> last_end: atomic<u32>;
 var<workgroup> tile_range: vec4u;     // first pair, after the last that is used; splats a batch, subgroups
 
-fn write(number: u32, moment: u32, sum: f32) {
-    if number >= WINDOW_START && number < WINDOW_END { rows[(number - WINDOW_START) * MOMENTS + moment] = sum; }
+fn write(number: u32, which: u32, sum: f32) {
+    if number >= WINDOW_START && number < WINDOW_END { rows[(number - WINDOW_START) * SUMS + which] = sum; }
 }
 
 //#if PAIRWISE
@@ -172,7 +172,7 @@ fn main(
     if thread == 0u {
         let used = atomicLoad(&last_end);
 //#if SUBGROUPS
-        let room = SUM_FLOATS / (subgroups * MOMENTS);
+        let room = SUM_FLOATS / (subgroups * SUMS);
         // Rounded down to a multiple of 8, if there is room for that many.
         tile_range = vec4u(pairs.x, used, clamp(select(room / 8u * 8u, room, room < 8u), 1u, BATCH), subgroups);
 //#else
@@ -265,7 +265,7 @@ fn main(
                     }
 //#end
 //#end
-                    let sums$m = array<f32, MOMENTS>(
+                    let sums$m = array<f32, SUMS>(
                         sum_p$m.x, dx$m * sum_p$m.x, sum_p$m.y, dx$m * dx$m * sum_p$m.x, dx$m * sum_p$m.y, sum_p$m.z,
                         sum_w$m.x, sum_w$m.y, sum_w$m.z, sum_w$m.w,
 //#if ABSOLUTE
@@ -275,8 +275,8 @@ fn main(
 //#end
                     total = spread(sums0, sums1, lane, lanes);
                 }
-                let first = (subgroup * range.z + s) * MOMENTS;
-                let places_end = min(end_of_$p - s, 2u) * MOMENTS;
+                let first = (subgroup * range.z + s) * SUMS;
+                let places_end = min(end_of_$p - s, 2u) * SUMS;
                 if place.x < places_end { sums_of_batch[first + place.x] = total.x; }
                 if place.y < places_end { sums_of_batch[first + place.y] = total.y; }
                 if place.z < places_end { sums_of_batch[first + place.z] = total.z; }
@@ -327,7 +327,7 @@ fn main(
                 }
             }
 //#end
-            let sums = array<f32, MOMENTS>(
+            let sums = array<f32, SUMS>(
                 sum_p.x, dx * sum_p.x, sum_p.y, dx * dx * sum_p.x, dx * sum_p.y, sum_p.z,
                 sum_w.x, sum_w.y, sum_w.z, sum_w.w,
 //#if ABSOLUTE
@@ -335,28 +335,28 @@ fn main(
 //#end
             );
 //#if SUBGROUPS
-//#for c in 0..MOMENTS
+//#for c in 0..SUMS
             let total$c = subgroupAdd(sums[$c]);
 //#end
             // One sum per lane, so that all are written by one instruction.
-            for (var c = lane; c < MOMENTS; c += lanes) {
+            for (var c = lane; c < SUMS; c += lanes) {
                 var total = total0;
-//#for c in 1..MOMENTS
+//#for c in 1..SUMS
                 if c == $cu { total = total$c; }
 //#end
-                sums_of_batch[(subgroup * range.z + s) * MOMENTS + c] = total;
+                sums_of_batch[(subgroup * range.z + s) * SUMS + c] = total;
             }
 //#else
             let slot = s % CHUNK;
-//#for c in 0..MOMENTS
-            partial[(slot * MOMENTS + $cu) * THREADS + thread] = sums[$c];
+//#for c in 0..SUMS
+            partial[(slot * SUMS + $cu) * THREADS + thread] = sums[$c];
 //#end
             if slot == CHUNK - 1u || s == n - 1u {
                 workgroupBarrier();
-                for (var task = thread; task < (slot + 1u) * MOMENTS; task += THREADS) {
+                for (var task = thread; task < (slot + 1u) * SUMS; task += THREADS) {
                     var sum = 0.0;
                     for (var k = 0u; k < THREADS; k++) { sum += partial[task * THREADS + (k + thread) % THREADS]; }
-                    write(batch_number[s - slot + task / MOMENTS], task % MOMENTS, sum);
+                    write(batch_number[s - slot + task / SUMS], task % SUMS, sum);
                 }
                 workgroupBarrier();
             }
@@ -368,10 +368,10 @@ fn main(
 //#end
         workgroupBarrier();             // the batch has been summed
 //#if SUBGROUPS
-        for (var task = thread; task < n * MOMENTS; task += THREADS) {
+        for (var task = thread; task < n * SUMS; task += THREADS) {
             var sum = 0.0;
-            for (var k = 0u; k < range.w; k++) { sum += sums_of_batch[k * range.z * MOMENTS + task]; }
-            write(batch_number[task / MOMENTS], task % MOMENTS, sum);
+            for (var k = 0u; k < range.w; k++) { sum += sums_of_batch[k * range.z * SUMS + task]; }
+            write(batch_number[task / SUMS], task % SUMS, sum);
         }
         workgroupBarrier();             // and used
 //#end
@@ -379,6 +379,6 @@ fn main(
     // Zeros for the pairs behind the last that the tile's pixels used.
     for (var pair = max(pairs.x, range.y) + thread; pair < pairs.y; pair += THREADS) {
         let number = numbered[pair].y;
-        for (var c = 0u; c < MOMENTS; c++) { write(number, c, 0.0); }
+        for (var c = 0u; c < SUMS; c++) { write(number, c, 0.0); }
     }
 }

@@ -1,6 +1,6 @@
 // Rearranges rows of splats: all changed rows are fetched before any is placed. Moments of Adam may be zeroed instead.
-// WIDTH floats per row, moved as bits, so that subnormal numbers survive. MOMENTS: 1 if rows hold moments; OPACITY: the
-// column of the opacity, or WIDTH if there is none.
+// WIDTH floats per row, moved as bits, so that subnormal numbers survive. HOLDS_MOMENTS: 1 if rows hold moments;
+// OPACITY: the column of the opacity, or WIDTH if there is none.
 //#import shared/group_index.wgsl
 
 struct Change {
@@ -23,7 +23,7 @@ fn fetch(
     if k >= size.x { return; }
     let column = at - k * WIDTH;
     let source = changes[k].source;
-    if MOMENTS == 1u && ((source & FRESH) != 0u || (column == OPACITY && (source & FRESH_OPACITY) != 0u)) {
+    if HOLDS_MOMENTS == 1u && ((source & FRESH) != 0u || (column == OPACITY && (source & FRESH_OPACITY) != 0u)) {
         fetched[at] = 0u;
         return;
     }

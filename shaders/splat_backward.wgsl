@@ -1,4 +1,4 @@
-// Converts the screen-space moments of `blend_backward` to gradients of a splat's parameters, and to the statistics of
+// Converts the screen-space sums of `blend_backward` to gradients of a splat's parameters, and to the statistics of
 // density control. One thread per splat; gradients of splats that are not visible are stale. With POSES also a splat's
 // part of the gradient by the pose's rotation: W' = exp(ω)·W rotates t and the rows J of the projection. `pose` sums
 // these parts in a kernel without this large function, which Mesa's software adapter takes minutes to compile if there
@@ -15,7 +15,7 @@
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
 @group(0) @binding(3) var<storage, read> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read> visible: array<u32>;
-@group(0) @binding(5) var<storage, read> moments: array<f32>;
+@group(0) @binding(5) var<storage, read> sums: array<f32>;
 @group(0) @binding(6) var<storage, read_write> geometry_gradient: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> sh_gradient: array<Floats>;
 // Per splat, summed over views: ‖(½W·∂u, ½H·∂v)‖, number of views in which it was visible, blend weight, and, if
@@ -34,12 +34,12 @@ fn main(
     let i = group_index(group) * 256u + thread;
     if i >= view.n_splats || visible[i] == 0u { return; }
     let first = i * SH_LOADS;
-    let at = MOMENTS * i;
-    let sp = moments[at];
-    let sd = vec2f(moments[at + 1u], moments[at + 2u]);
-    let sdd = vec3f(moments[at + 3u], moments[at + 4u], moments[at + 5u]);
-    let weight = moments[at + 9u];
-    var g_color = vec3f(moments[at + 6u], moments[at + 7u], moments[at + 8u]);
+    let at = SUMS * i;
+    let sp = sums[at];
+    let sd = vec2f(sums[at + 1u], sums[at + 2u]);
+    let sdd = vec3f(sums[at + 3u], sums[at + 4u], sums[at + 5u]);
+    let weight = sums[at + 9u];
+    var g_color = vec3f(sums[at + 6u], sums[at + 7u], sums[at + 8u]);
 
     let g = gaussian(geometry[3u * i], geometry[3u * i + 1u], geometry[3u * i + 2u]);
     let p = project(view, g);
@@ -143,7 +143,7 @@ fn main(
     let norm = length(0.5 * vec2f(view.size) * g_uv);
     var pulled = 0.0;
 //#if ABSOLUTE
-    pulled = length(0.5 * vec2f(view.size) * vec2f(moments[at + 10u], moments[at + 11u]));
+    pulled = length(0.5 * vec2f(view.size) * vec2f(sums[at + 10u], sums[at + 11u]));
 //#end
     statistics[i] = old + vec4f(norm, 1.0, weight, pulled);
 }

@@ -25,7 +25,7 @@ const GROUPS: [(&str, &[&str]); 10] = [
     (FORWARD, &["blend_forward"]),
     ("loss", &["loss", "loss_serial"]),
     (BACKWARD, &["blend_backward"]),
-    ("splat backward", &["sum_moments", "splat_backward"]),
+    ("splat backward", &["sum_pairs", "splat_backward"]),
     ("mesh backward", &["gradient_peak", "texel_backward", "texel_backward_serial"]),
     ("Adam, splats", &["adam_splats"]),
     ("Adam, texels", &["adam_texels", "build_mips"]),
@@ -125,7 +125,7 @@ pub(crate) fn print_curve(curve: &Curve) {
 /// Prints the GPU memory that training takes.
 pub(crate) fn print_memory(memory: &Memory) {
     println!("\nGPU memory while training, by difference");
-    println!("  per splat of degree 3  {:7.0} bytes, room for half as many again included", memory.per_splat);
+    println!("  per splat of degree 3  {:7.0} bytes", memory.per_splat);
     println!("  per float of the maps  {:7.2} bytes", memory.per_map_float);
     println!("  per pixel, one layer   {:7.1} bytes", memory.per_pixel);
     println!("  measured / accounted   {:7.3}", memory.agreement);

@@ -5,10 +5,10 @@
 // exchanges the other half for its neighbour's partial sums of the half that it keeps: in the end each of 32 lanes has
 // one sum, after 21 exchanges in five steps, whereas 20 separate sums take five exchanges each. With fewer lanes, each
 // has up to three sums; `places` says which.
-fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32) -> vec3f {
+fn spread(a: array<f32, SUMS>, b: array<f32, SUMS>, lane: u32, lanes: u32) -> vec3f {
     let is_upper = (vec4u(lane) & vec4u(1u, 2u, 4u, 8u)) != vec4u(0u);
-    var of_splat: array<f32, MOMENTS>;
-//#for c in 0..MOMENTS
+    var of_splat: array<f32, SUMS>;
+//#for c in 0..SUMS
     of_splat[$c] = select(a[$c], b[$c], is_upper.x) + $EXCHANGE(select(b[$c], a[$c], is_upper.x), 1u);
 //#end
 //#for c in 0..HALF
@@ -33,11 +33,11 @@ fn spread(a: array<f32, MOMENTS>, b: array<f32, MOMENTS>, lane: u32, lanes: u32)
     return vec3f(sum, 0.0, 0.0);
 }
 
-// Which of 2·MOMENTS sums a lane of `spread` holds, those of the first splat first; 2·MOMENTS for none.
+// Which of 2·SUMS sums a lane of `spread` holds, those of the first splat first; 2·SUMS for none.
 fn places(lane: u32, lanes: u32) -> vec3u {
-    const NONE: u32 = 2u * MOMENTS;
+    const NONE: u32 = 2u * SUMS;
     let bit = (vec4u(lane) >> vec4u(0u, 1u, 2u, 3u)) & vec4u(1u);
-    let of_splat = MOMENTS * bit.x + HALF * bit.y;
+    let of_splat = SUMS * bit.x + HALF * bit.y;
     // Of HALF sums, the first three or the rest.
     var place = vec3u(0u, 1u, 2u) + 3u * bit.z;
     if lanes >= 16u { place = vec3u(place.x + 2u * bit.w, select(NONE, place.y, bit.w == 0u), NONE); }

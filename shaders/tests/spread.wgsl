@@ -3,7 +3,7 @@
 // exchanges, all lanes have the values that they would have in lockstep.
 //#import shared/spread.wgsl with EXCHANGE=exchange
 
-@group(0) @binding(0) var<storage, read> addends: array<f32>;           // [lane][splat, of two][MOMENTS]
+@group(0) @binding(0) var<storage, read> addends: array<f32>;           // [lane][splat, of two][SUMS]
 @group(0) @binding(1) var<storage, read_write> totals: array<vec4f>;    // [lane]: from `spread`; the last of four is 0
 @group(0) @binding(2) var<storage, read_write> whose: array<vec4u>;     // [lane]: from `places`; the last of four is 0
 
@@ -27,11 +27,11 @@ fn main() {
         for (var lane = 0u; lane < LANES; lane++) {
             this_lane = lane;
             exchanges = 0u;
-            var a: array<f32, MOMENTS>;
-            var b: array<f32, MOMENTS>;
-            for (var c = 0u; c < MOMENTS; c++) {
-                a[c] = addends[2u * MOMENTS * lane + c];
-                b[c] = addends[2u * MOMENTS * lane + MOMENTS + c];
+            var a: array<f32, SUMS>;
+            var b: array<f32, SUMS>;
+            for (var c = 0u; c < SUMS; c++) {
+                a[c] = addends[2u * SUMS * lane + c];
+                b[c] = addends[2u * SUMS * lane + SUMS + c];
             }
             totals[lane] = vec4f(spread(a, b, lane, LANES), 0.0);
             whose[lane] = vec4u(places(lane, LANES), 0u);

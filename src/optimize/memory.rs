@@ -136,7 +136,7 @@ mod tests {
         let (options, cameras) = (TrainOptions::default(), [camera(1920, 1080), camera(80, 1200)]);
         let of = |source: &MeshSource| needed(&size(&options, &cameras, source, 1_000_000, 2048), 2048);
         let (what, hybrid) = of(&MeshSource::Splats);
-        let expected = "training (1000000 splats of SH degree 3: 2174 MiB, the mesh with maps of 2048² texels 415 MiB, \
+        let expected = "training (1000000 splats of SH degree 3: 1450 MiB, the mesh with maps of 2048² texels 415 MiB, \
                         images of 1920×1080: 468 MiB)";
         assert_eq!(what, expected);
         let (what, alone) = of(&MeshSource::None);

@@ -43,7 +43,12 @@ use super::{
 use crate::{
     capture::Capture,
     geometry::Shell,
-    render::gpu::{Gpu, exposure::ExposureState, memory::most_splats, training::Training},
+    render::gpu::{
+        Gpu,
+        exposure::ExposureState,
+        memory::most_splats,
+        training::{Training, TrainingOptions},
+    },
     scene::{Camera, HybridScene, Mesh},
 };
 
@@ -338,11 +343,13 @@ impl<'a> Run<'a> {
 
     fn training(&self, scene: &HybridScene) -> Result<Training<'a>, TrainError> {
         let (o, views) = (self.setup.options, &self.views);
-        let mut training = Training::new(self.session.gpu, scene, &views.cameras, o.ssim_weight)?;
+        let options = TrainingOptions {
+            ssim_weight: o.ssim_weight,
+            most_splats: self.setup.budget.splats_beside(&scene.meshes),
+            absolute_gradients: o.density == Density::Absgs,
+        };
+        let mut training = Training::with_options(self.session.gpu, scene, &views.cameras, &options)?;
         training.keep_photographs(self.kept_photographs);
-        if o.density == Density::Absgs {
-            training.sum_absolute_gradients()?;
-        }
         if o.antialias {
             training.smooth_for(&views.train_cameras)?;
         }

@@ -105,7 +105,7 @@ fn check_len(field: &str, found: usize, expected: usize) -> Result<(), SceneErro
 }
 
 /// Checks that all `values` (rows of `width` floats) are finite; the error names the first row that is not.
-fn check_finite(field: &str, values: &[f32], width: usize) -> Result<(), SceneError> {
+pub(crate) fn check_finite(field: &str, values: &[f32], width: usize) -> Result<(), SceneError> {
     // Whole blocks are checked first: without an early exit the loop is vectorised.
     const BLOCK: usize = 1 << 14;
     let at_fault = values.par_chunks(BLOCK).enumerate().find_map_first(|(block, values)| {

@@ -7,7 +7,7 @@ use crate::{
     capture::{Capture, View},
     geometry::{ChartSpace, Contraction, GeometryError, Surface, Viewers},
     optimize::{SurfaceOrigin, TrainError, cut_out, fused, seen_points},
-    render::gpu::training::Training,
+    render::gpu::{state, training::Training},
     scene::Mesh,
 };
 
@@ -68,5 +68,5 @@ pub(super) fn chart_space(setup: &Setup, views: &Views, training: &Training) -> 
 /// Points from which the scene's place is estimated, see [`fused::whereabouts`]. Splats beside an untrained mesh rest,
 /// so the answer does not change.
 fn whereabouts(capture: &Capture, training: &Training) -> Result<Vec<Vec3>, TrainError> {
-    fused::whereabouts(capture, || Ok(training.read_splats()?.to_splats()?.means().to_vec()))
+    fused::whereabouts(capture, || Ok(state::means(&training.read_geometry()?)?))
 }

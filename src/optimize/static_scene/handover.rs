@@ -12,8 +12,8 @@ const KEEPS_ONE_OF: usize = 100;
 
 /// Keeps those splats of the surface phase that explain the photographs better than the mesh, which takes over the
 /// smooth regions, as in HERA: a splat is removed if over its footprint in all views the squared error of the mesh
-/// alone is no larger than that of the splats alone. What remains is mostly fine structure, at most `most` splats.
-/// Their smoothing is measured anew.
+/// alone is no larger than that of the splats alone. What remains is mostly fine structure, at most `most` splats, the
+/// limit of the training, which gives back memory for more. Their smoothing is measured anew.
 pub(super) fn hand_over(setup: &Setup, views: &Views, training: &mut Training, most: usize) -> Result<(), TrainError> {
     let mut splats = Arrangement::new(training.read_geometry()?);
     let (mut advantage, mut seen) = (vec![0.0_f64; splats.len()], vec![false; splats.len()]);

@@ -1,7 +1,7 @@
 //! Backward pass of a frame: from the gradient of the image to those of the parameters.
 
 use super::{
-    blend::{BlendBackward, moments},
+    blend::{BlendBackward, sums_each},
     device::{Buffer, Frame, Gpu, GpuError, Stage},
     front::Front,
     geometry::GEOMETRY_FLOATS,
@@ -39,7 +39,7 @@ pub(crate) struct SplatGradients {
 }
 
 /// Optional outputs besides gradients of parameters.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Besides {
     /// Whether the statistics include absolute gradients.
     absolute: bool,
@@ -48,12 +48,13 @@ struct Besides {
 }
 
 impl Backward {
-    /// Backward pass of a pipeline that was made with this `status`.
+    /// Backward pass of a pipeline that was made with this `status`; with `absolute` gradients in the statistics, for
+    /// AbsGS.
     ///
     /// # Errors
     /// If the adapter has no memory left.
-    pub(crate) fn new(gpu: &Gpu, pipeline: &Pipeline, status: Buffer) -> Result<Self, GpuError> {
-        let besides = Besides::default();
+    pub(crate) fn new(gpu: &Gpu, pipeline: &Pipeline, status: Buffer, absolute: bool) -> Result<Self, GpuError> {
+        let besides = Besides { absolute, by_pose: false };
         let image_gradient = gpu.storage("image gradient", pipeline.pixels() * 4)?;
         let blend = blend_backward(gpu, pipeline, &image_gradient, besides)?;
         let splats = SplatGradients::new(gpu, pipeline, besides)?;
@@ -75,15 +76,6 @@ impl Backward {
         Ok(())
     }
 
-    /// Enables absolute gradients in the statistics, for AbsGS.
-    ///
-    /// # Errors
-    /// If the adapter has no memory left.
-    pub(crate) fn sum_absolute_gradients(&mut self, gpu: &Gpu, pipeline: &Pipeline) -> Result<(), GpuError> {
-        self.besides.absolute = true;
-        self.renew(gpu, pipeline)
-    }
-
     /// Enables gradients by the pose of the camera, through splats only.
     ///
     /// # Errors
@@ -91,7 +83,8 @@ impl Backward {
     pub(crate) fn differentiate_poses(&mut self, gpu: &Gpu, pipeline: &Pipeline) -> Result<(), GpuError> {
         self.besides.by_pose = true;
         self.splats.turn = turn_gradient(gpu, self.splats.capacity, self.besides)?;
-        self.renew(gpu, pipeline)
+        self.of_splats = of_splats(gpu, pipeline, &self.blend, &self.splats, &self.status, self.besides);
+        Ok(())
     }
 
     /// Appends the whole pass, from the image gradient to parameter gradients.
@@ -104,15 +97,15 @@ impl Backward {
         }
     }
 
-    /// Appends only the part from the image gradient to [`Self::moments`].
+    /// Appends only the part from the image gradient to [`Self::sums`].
     pub(crate) fn record_blend(&self, frame: &mut Frame, view: &View) {
         self.blend.record(frame, view.n_tiles(), view.n_splats as usize);
     }
 
     /// Sums per splat from the blend, and their number: `[capacity][number]`. Rows of splats that the last view does
     /// not see are stale.
-    pub(crate) fn moments(&self) -> (&Buffer, usize) {
-        (&self.blend.moments, moments(self.besides.absolute))
+    pub(crate) fn sums(&self) -> (&Buffer, usize) {
+        (&self.blend.sums, sums_each(self.besides.absolute))
     }
 }
 
@@ -155,7 +148,7 @@ fn of_splats(
 ) -> Stage {
     let Front { view, splats, lists, .. } = &pipeline.front;
     let defines = with_sh(gpu.defines(), splats.sh_degree)
-        .with("MOMENTS", moments(absolute) as u32)
+        .with("SUMS", sums_each(absolute) as u32)
         .with("ABSOLUTE", u32::from(absolute))
         .with("POSES", u32::from(by_pose));
     let mut buffers = vec![
@@ -164,7 +157,7 @@ fn of_splats(
         &splats.sh,
         &lists.projected,
         &lists.visible,
-        &blend.moments,
+        &blend.sums,
         &gradients.geometry,
         &gradients.sh,
         &gradients.statistics,

@@ -8,11 +8,11 @@ use super::{
     tile_pairs::{COUNT_STORED_PAIRS, COUNT_VISIBLE},
 };
 
-/// Threads per workgroup of `sum_moments.wgsl`.
+/// Threads per workgroup of `sum_pairs.wgsl`.
 const SUM_THREADS: usize = 256;
 
 /// Number of sums per splat that `blend_backward.wgsl` computes.
-pub(crate) fn moments(absolute: bool) -> usize {
+pub(crate) fn sums_each(absolute: bool) -> usize {
     if absolute { 12 } else { 10 }
 }
 
@@ -38,12 +38,12 @@ pub(crate) struct Blend {
 
 /// Backward blend: from the gradient of the image to sums per splat and the gradient of mesh layers.
 pub(crate) struct BlendBackward {
-    /// Stages from tiles to rows and from rows to moments, once for each window of pairs whose rows can be bound.
+    /// Stages from tiles to rows and from rows to sums per splat, once for each window of pairs whose rows can be bound.
     windows: Vec<[Stage; 2]>,
     sizes: DispatchSizes,
     splats_a_group: usize,
     /// Sums per splat, `[n]` rows; those of splats that the last view does not see are stale.
-    pub(crate) moments: Buffer,
+    pub(crate) sums: Buffer,
 }
 
 /// Threads per tile, and pixels per thread. A splat's record is read, and its gradient reduced over lanes, once per
@@ -79,8 +79,8 @@ fn with_paths(defines: &Defines, layers: u32, runs: bool) -> Defines {
 }
 
 /// Largest number of (tile, splat) pairs whose sums can be bound.
-fn rows_at_most(gpu: &Gpu, n_moments: usize) -> usize {
-    (gpu.max_binding_bytes() as usize / (4 * n_moments)).max(1)
+fn rows_at_most(gpu: &Gpu, n_sums: usize) -> usize {
+    (gpu.max_binding_bytes() as usize / (4 * n_sums)).max(1)
 }
 
 fn base_defines(gpu: &Gpu, layers: u32) -> Defines {
@@ -157,15 +157,15 @@ impl BlendBackward {
         (capacity, absolute): (usize, bool),
     ) -> Result<Self, GpuError> {
         let n_layers = lists.layers();
-        let n_moments = moments(absolute);
+        let n_sums = sums_each(absolute);
         // Without subgroups there are barriers where the paths would diverge.
         let defines = with_paths(&base_defines(gpu, n_layers), n_layers, gpu.profile().subgroups)
-            .with("MOMENTS", n_moments as u32)
+            .with("SUMS", n_sums as u32)
             .with("ABSOLUTE", u32::from(absolute))
             .with("PAIRWISE", u32::from(gpu.profile().subgroups && !gpu.profile().is_cpu))
-            .with("HALF", n_moments as u32 / 2);
-        let lanes = if gpu.profile().is_cpu && n_moments.is_multiple_of(2) { 2 } else { 1 };
-        let values = n_moments / lanes;
+            .with("HALF", n_sums as u32 / 2);
+        let lanes = if gpu.profile().is_cpu && n_sums.is_multiple_of(2) { 2 } else { 1 };
+        let values = n_sums / lanes;
         let together = if gpu.profile().is_cpu { values } else { 1 };
         let splats_a_group = SUM_THREADS / (values / together);
         let sum_defines = gpu
@@ -177,9 +177,9 @@ impl BlendBackward {
             .with("SPLATS", splats_a_group as u32)
             .with("COUNT_VISIBLE", COUNT_VISIBLE)
             .with("COUNT_STORED_PAIRS", COUNT_STORED_PAIRS);
-        let (pairs, window) = (lists.pairs.capacity(), rows_at_most(gpu, n_moments));
-        let sums = gpu.storage("splat moments", capacity.max(1) * n_moments)?;
-        let rows = gpu.storage("sums of pairs", pairs.min(window) * n_moments)?;
+        let (pairs, window) = (lists.pairs.capacity(), rows_at_most(gpu, n_sums));
+        let sums = gpu.storage("sums of splats", capacity.max(1) * n_sums)?;
+        let rows = gpu.storage("sums of pairs", pairs.min(window) * n_sums)?;
         let numbers = lists.numbers();
         let mut tiles = vec![
             view,
@@ -202,11 +202,11 @@ impl BlendBackward {
         };
         let of_window = |start: usize| {
             let of_tiles = bound("blend_backward.wgsl", &defines, start, &tiles);
-            [of_tiles, bound("sum_moments.wgsl", &sum_defines, start, &of_splats)]
+            [of_tiles, bound("sum_pairs.wgsl", &sum_defines, start, &of_splats)]
         };
         let windows = (0..pairs.max(1)).step_by(window).map(of_window).collect();
         let sizes = DispatchSizes::new(gpu, capacity, &[splats_a_group], numbers.counts, COUNT_VISIBLE)?;
-        Ok(Self { windows, sizes, splats_a_group, moments: sums })
+        Ok(Self { windows, sizes, splats_a_group, sums })
     }
 
     /// Appends the gradients of `tiles` tiles with this many splats.
@@ -237,12 +237,12 @@ mod tests {
         let gpu = Gpu::open(None).unwrap();
         let mut rng = Pcg32::seed_from_u64(1);
         for (lanes, absolute) in [8_usize, 16, 32, 64].into_iter().flat_map(|lanes| [(lanes, false), (lanes, true)]) {
-            let n_moments = moments(absolute);
+            let n_sums = sums_each(absolute);
             // Sums of both splats.
-            let row = 2 * n_moments;
+            let row = 2 * n_sums;
             let addends: Vec<f32> = (0..lanes * row).map(|_| rng.random_range(-1.0..1.0)).collect();
-            let defines = (gpu.defines().with("LANES", lanes as u32).with("MOMENTS", n_moments as u32))
-                .with("HALF", n_moments as u32 / 2)
+            let defines = (gpu.defines().with("LANES", lanes as u32).with("SUMS", n_sums as u32))
+                .with("HALF", n_sums as u32 / 2)
                 .with("ABSOLUTE", u32::from(absolute));
             let buffers = [
                 gpu.storage_with("addends", &addends).unwrap(),

@@ -64,6 +64,8 @@ pub(crate) struct LossBuffers<'a> {
 pub(crate) struct Loss {
     forward: Stage,
     backward: Stage,
+    /// Derivatives of SSIM, `[3][pixel]` vec4.
+    slopes: Buffer,
     means: Buffer,
     weights: Buffer,
     ssim_weight: f32,
@@ -83,24 +85,23 @@ impl Loss {
         ssim_weight: f32,
         buffers: &LossBuffers,
     ) -> Result<Self, GpuError> {
-        let &LossBuffers { view, image, truth, gradient, exposures } = buffers;
         let tiling = if gpu.profile().is_cpu { SERIAL } else { PARALLEL };
-        let defines = (gpu.defines().with("EXPOSURE", u32::from(exposures.is_some())))
-            .with("WIDTH", tiling.width as u32)
-            .with("HEIGHT", tiling.height as u32);
         let tiles = |&(w, h): &(usize, usize)| 3 * groups(w, tiling.width) * groups(h, tiling.height);
         let n_tiles = sizes.iter().map(tiles).max().unwrap_or(0);
         let pixels = sizes.iter().map(|&(w, h)| w * h).max().unwrap_or(0);
         let weights = gpu.uniform("loss weights", 4)?;
         let slopes = gpu.storage("SSIM slopes", 12 * pixels)?;
         let means = gpu.storage("loss means", 2 * n_tiles)?;
-        let mut buffers = vec![view, &weights, image, truth, &slopes, gradient, &means];
-        buffers.extend(exposures);
-        let stage = |entry| Stage::new(gpu, tiling.file, entry, &defines, &buffers);
-        let (forward, backward) = (stage("forward"), stage("backward"));
-        let loss = Self { forward, backward, means, weights, ssim_weight, n_tiles, tiling };
+        let [forward, backward] = stages(gpu, &tiling, buffers, [&weights, &slopes, &means]);
+        let loss = Self { forward, backward, slopes, means, weights, ssim_weight, n_tiles, tiling };
         loss.set_truth(gpu, TruthAlpha::Ignore, 0);
         Ok(loss)
+    }
+
+    /// Reads and writes these buffers from now on, of views of the same sizes.
+    pub(crate) fn rebind(&mut self, gpu: &Gpu, buffers: &LossBuffers) {
+        let own = [&self.weights, &self.slopes, &self.means];
+        [self.forward, self.backward] = stages(gpu, &self.tiling, buffers, own);
     }
 
     /// Sets the meaning of alpha in frames from now on, and, with exposures, the view whose exposure applies. The
@@ -132,6 +133,17 @@ impl Loss {
     pub(crate) fn read(&self, gpu: &Gpu) -> Result<LossValues, GpuError> {
         Ok(LossValues::of(&gpu.read::<[f32; 2]>(&self.means, self.n_tiles)?))
     }
+}
+
+/// Stages `forward` and `backward`.
+fn stages(gpu: &Gpu, tiling: &Tiling, buffers: &LossBuffers, [weights, slopes, means]: [&Buffer; 3]) -> [Stage; 2] {
+    let &LossBuffers { view, image, truth, gradient, exposures } = buffers;
+    let defines = (gpu.defines().with("EXPOSURE", u32::from(exposures.is_some())))
+        .with("WIDTH", tiling.width as u32)
+        .with("HEIGHT", tiling.height as u32);
+    let mut buffers = vec![view, weights, image, truth, slopes, gradient, means];
+    buffers.extend(exposures);
+    ["forward", "backward"].map(|entry| Stage::new(gpu, tiling.file, entry, &defines, &buffers))
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::{
     loss::TruthAlpha,
     renderer::Renderer,
     texels::TexelStep,
-    training::{Step, Training},
+    training::{Step, Training, TrainingOptions},
     view::{Dropout, TILE},
 };
 use crate::scene::{Camera, HybridScene, sh};
@@ -129,7 +129,8 @@ pub struct StepTimes {
 pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: usize) -> Result<StepTimes, GpuError> {
     scene.composition.validate().map_err(GpuError::Scene)?;
     let truth = vec![128; camera.intrinsics().pixels() * 4];
-    let mut training = Training::new(gpu, scene, &[*camera], 0.2)?;
+    let options = TrainingOptions { most_splats: scene.splats.len(), ..TrainingOptions::default() };
+    let mut training = Training::with_options(gpu, scene, &[*camera], &options)?;
     training.keep_photographs(truth.len() as u64);
     let step = unmoving(scene, camera, &truth);
     // Warm-up: compiles kernels and makes lists long enough.

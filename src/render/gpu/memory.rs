@@ -1,6 +1,6 @@
 //! Memory needed for training.
 
-use super::{blend::moments, device::Gpu, front::PAIRS_PER_SPLAT, geometry::GEOMETRY_FLOATS, mesh::BIN, view::TILE};
+use super::{blend::sums_each, device::Gpu, front::PAIRS_PER_SPLAT, geometry::GEOMETRY_FLOATS, mesh::BIN, view::TILE};
 use crate::scene::sh;
 
 /// Room for additional splats in buffers, as a fraction of those there are: growing means new buffers.
@@ -13,20 +13,17 @@ pub fn most_splats(gpu: &Gpu, sh_degree: u32) -> usize {
     gpu.max_binding_bytes() as usize / bytes_each
 }
 
-/// Capacity of buffers for `n` splats of a degree: no more than the adapter binds at once, unless `n` itself exceeds
-/// that.
-pub(crate) fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32) -> usize {
-    (n + headroom(n)).min(most_splats(gpu, sh_degree)).max(n)
-}
-
-fn headroom(n: usize) -> usize {
-    (n as f64 * HEADROOM) as usize
+/// Capacity of buffers for `n` splats of a degree, of which there will be at most `most`: no more than these, nor than
+/// the adapter binds at once, unless `n` itself exceeds that.
+pub(crate) fn with_headroom(gpu: &Gpu, n: usize, sh_degree: u32, most: usize) -> usize {
+    let room = (n as f64 * HEADROOM) as usize;
+    (n + room).min(most).min(most_splats(gpu, sh_degree)).max(n)
 }
 
 /// Sizes that determine the memory of a training run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrainingSize {
-    /// Number of splats.
+    /// Most splats that there will be.
     pub splats: usize,
     /// SH degree of the splats.
     pub sh_degree: u32,
@@ -51,7 +48,7 @@ pub struct TrainingSize {
 /// Bytes of GPU buffers needed for training, by what they scale with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrainingBytes {
-    /// Parameters, gradients, moments and lists of the splats, with room for half as many again.
+    /// Parameters, gradients, moments and lists of the splats.
     pub splats: u64,
     /// Maps of the meshes, with mips, gradients and moments; triangles.
     pub meshes: u64,
@@ -68,7 +65,8 @@ impl TrainingBytes {
 }
 
 /// Bytes of GPU buffers needed for training, as long as no view has more (tile, splat) pairs than there is room for at
-/// first. Saturates.
+/// first. That is also the peak while buffers grow to [`TrainingSize::splats`]: the parameters and moments of before,
+/// which are there once more then, take less than the lists and gradients that are not. Saturates.
 #[must_use]
 pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
     let s = size;
@@ -77,13 +75,13 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
         parts.iter().fold(0_u64, |sum, (count, floats)| sum.saturating_add(count.saturating_mul(4 * floats)))
     };
     let (pixels, layers) = (wide(s.width).saturating_mul(wide(s.height)), wide(s.layers));
-    let splats = wide(s.splats).saturating_add(wide(headroom(s.splats)));
+    let splats = wide(s.splats);
     let sh_floats = 3 * wide(sh::coefficients(s.sh_degree));
     let per_side =
         |side: u32| wide(s.width.div_ceil(side as usize)).saturating_mul(wide(s.height.div_ceil(side as usize)));
     let tiles = per_side(TILE);
     // Parameters, gradients and two moments; projection, sums of the blend, statistics, five counters, the depth sort.
-    let sums = wide(moments(s.absolute_gradients));
+    let sums = wide(sums_each(s.absolute_gradients));
     let by_pose = if s.poses_move { 4 } else { 0 };
     let per_splat = 4 * (12 + sh_floats) + 12 + sums + 4 + 5 + 4 + layers.max(1) + by_pose;
     let pairs = wide(PAIRS_PER_SPLAT).saturating_mul(splats).saturating_add(tiles);
@@ -122,6 +120,15 @@ pub fn training_bytes(size: &TrainingSize) -> TrainingBytes {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn there_is_room_for_no_more_splats_than_there_may_be() {
+        // 192 bytes of SH coefficients per splat.
+        let gpu = Gpu::open(None).unwrap().binding_at_most(192 * 1000);
+        let of = |n, most| with_headroom(&gpu, n, 3, most);
+        assert_eq!([of(100, usize::MAX), of(100, 120), of(100, 100), of(100, 50)], [150, 120, 100, 100]);
+        assert_eq!([of(900, usize::MAX), of(900, 950), of(1100, usize::MAX)], [1000, 950, 1100]);
+    }
 
     #[test]
     fn absurd_sizes_saturate() {

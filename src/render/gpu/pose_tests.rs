@@ -9,7 +9,7 @@ use super::{
     adam::{AdamStep, SplatRates},
     loss::TruthAlpha,
     pose::{FLOATS, PoseState, PoseStep},
-    training::{Step, Training},
+    training::{Step, Training, TrainingOptions},
     view::Dropout,
 };
 use crate::{
@@ -165,8 +165,8 @@ fn more_splats_than_there_was_room_for_pull_at_poses() {
         (0..10).flat_map(|i| scene.splats.sh_of(i)).copied().collect(),
     );
     let few = HybridScene { splats: few.unwrap(), meshes: vec![], composition: scene.composition };
-    let mut training = Training::new(&gpu, &few, &[camera], 0.0).unwrap();
-    training.sum_absolute_gradients().unwrap();
+    let options = TrainingOptions { ssim_weight: 0.0, absolute_gradients: true, ..TrainingOptions::default() };
+    let mut training = Training::with_options(&gpu, &few, &[camera], &options).unwrap();
     training.refine_poses(&poses()).unwrap();
     let all = Training::new(&gpu, &scene, &[camera], 0.0).unwrap().read_splats().unwrap();
     assert!(training.pipeline.front.splats.capacity < 300);

@@ -92,7 +92,7 @@ impl RowGather {
                 Rows::Parameters | Rows::ShMoments => (sh_floats, sh_floats),
             };
             let defines = (gpu.defines().with("WIDTH", width as u32).with("OPACITY", opacity as u32))
-                .with("MOMENTS", u32::from(what != Rows::Parameters))
+                .with("HOLDS_MOMENTS", u32::from(what != Rows::Parameters))
                 .with("FRESH", Source::FRESH)
                 .with("FRESH_OPACITY", Source::FRESH_OPACITY)
                 .with("SPLAT", Source::SPLAT);
@@ -140,14 +140,17 @@ mod tests {
     use super::*;
     use crate::{
         render::{
-            gpu::{state::SplatState, training::Training},
+            gpu::{
+                state::SplatState,
+                training::{Training, TrainingOptions},
+            },
             testing::random_scene,
         },
         scene::OrderMode,
     };
 
     /// Fewer splats, another order, copies, more splats than the capacity, and none: all equal the host's result bit by
-    /// bit, also with folded dispatches.
+    /// bit, also with folded dispatches, and where there is room for more splats than there may be.
     #[test]
     fn what_the_gpu_gathers_is_what_the_host_does() {
         let n = 300;
@@ -177,13 +180,14 @@ mod tests {
                 (0..3 * n).map(|i| [Source::new(i / 3), Source::new(7).without_moments()][i % 2]).collect(),
                 vec![],
             ];
-            for sources in orders {
-                let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+            for (sources, most_splats) in orders.iter().flat_map(|order| [(order, usize::MAX), (order, 200)]) {
+                let options = TrainingOptions { most_splats, ..TrainingOptions::default() };
+                let mut training = Training::with_options(&gpu, &scene, &[camera], &options).unwrap();
                 training.write_splats(&all).unwrap();
                 training.write_statistics(&vec![1.0; 4 * n]);
                 let geometry = random(sources.len() * GEOMETRY_FLOATS);
-                training.rearrange(&geometry, &sources).unwrap();
-                let expected = all.rearranged(&geometry, &sources);
+                training.rearrange(&geometry, sources).unwrap();
+                let expected = all.rearranged(&geometry, sources);
                 assert!(training.read_splats().unwrap() == expected, "{} of degree {sh_degree}", sources.len());
                 assert_eq!(training.read_geometry().unwrap(), geometry);
                 assert_eq!(training.read_statistics().unwrap(), vec![0.0; 4 * sources.len()]);

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 pub use super::geometry::{GEOMETRY_FLOATS, Geometry};
 use super::{geometry, splats::pack_geometry};
-use crate::scene::{SceneError, Splats, sh, smoothed_parameters};
+use crate::scene::{SceneError, Splats, check_finite, sh, smoothed_parameters};
 
 /// Raw, unconstrained parameters and Adam moments of `N` splats, in the layout of the GPU's buffers.
 ///
@@ -113,6 +113,15 @@ pub(crate) fn geometry_not_finite(geometry: &[f32]) -> Option<(&'static str, usi
     Some((geometry::group_of(at % GEOMETRY_FLOATS), at / GEOMETRY_FLOATS))
 }
 
+/// Means of the splats of these rows of geometry, `[N·12]`.
+///
+/// # Errors
+/// If any of the geometry is not finite.
+pub(crate) fn means(geometry: &[f32]) -> Result<Vec<Vec3>, SceneError> {
+    check_finite("splats", geometry, GEOMETRY_FLOATS)?;
+    Ok(Geometry::of_rows(geometry).map(|g| g.mean).collect())
+}
+
 /// Log-scales and opacity logit after smoothing.
 fn smoothed(of: Geometry) -> (Vec3, f32) {
     smoothed_parameters(of.log_scale, of.opacity_logit, of.smoothing)
@@ -165,6 +174,7 @@ pub(crate) mod tests {
         let state = state(5, 2);
         let splats = state.to_splats().unwrap();
         assert_eq!(splats.len(), 5);
+        assert_eq!(means(&state.geometry).unwrap(), splats.means());
         let again = SplatState::from_splats(&splats);
         assert_eq!(again.to_splats().unwrap(), splats);
         assert_eq!(again.sh, state.sh);
@@ -229,6 +239,9 @@ pub(crate) mod tests {
             broken(|s| Geometry::edit(&mut s.geometry, 2, |g| g.rotation.y = f32::INFINITY)),
             Some(("rotations", 2))
         );
+        let mut geometry = s.geometry.clone();
+        Geometry::edit(&mut geometry, 1, |g| g.log_scale.z = f32::NAN);
+        assert_eq!(means(&geometry).unwrap_err().to_string(), "splats[1]: expected finite numbers, found NaN");
         assert_eq!(broken(|s| s.sh[30] = f32::NAN), Some(("SH coefficients", 2)));
         assert_eq!(broken(|s| s.sh_v[0] = f32::NAN), Some(("second moments", 0)));
     }

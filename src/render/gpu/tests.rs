@@ -47,7 +47,7 @@ fn special_frame(
     let k = *camera.intrinsics();
     let status = cotangent.map(|_| status_buffer(gpu).unwrap());
     let mut pipeline = Pipeline::new(gpu, scene, 0, &[*camera], status.as_ref()).unwrap();
-    let mut backward = status.map(|status| Backward::new(gpu, &pipeline, status).unwrap());
+    let mut backward = status.map(|status| Backward::new(gpu, &pipeline, status, false).unwrap());
     let n = scene.splats.len();
     for (i, &deviation) in deviations.iter().enumerate() {
         gpu.write(&pipeline.front.splats.geometry, 48 * i as u64 + 44, &[deviation as f32]);
@@ -108,11 +108,11 @@ fn special_frame(
     (rendered, gradients, statistics)
 }
 
-/// Forward and backward pass for the scene as seen by this camera.
-fn differentiable(gpu: &Gpu, scene: &HybridScene, camera: &Camera) -> (Pipeline, Backward) {
+/// Forward and backward pass for the scene as seen by this camera, with `absolute` gradients in the statistics.
+fn differentiable(gpu: &Gpu, scene: &HybridScene, camera: &Camera, absolute: bool) -> (Pipeline, Backward) {
     let status = status_buffer(gpu).unwrap();
     let pipeline = Pipeline::new(gpu, scene, 0, &[*camera], Some(&status)).unwrap();
-    let backward = Backward::new(gpu, &pipeline, status).unwrap();
+    let backward = Backward::new(gpu, &pipeline, status, absolute).unwrap();
     (pipeline, backward)
 }
 

@@ -112,14 +112,16 @@ struct Pool {
     maps: Vec<Option<Map>>,
     /// Level, `build_mips` stage and threads, for every level of every map except level 0, fine to coarse.
     mips: Vec<(u32, Stage, usize)>,
-    training: Option<Training>,
+    /// If trainable.
+    adam: Option<TexelAdam>,
 }
 
-struct Training {
+/// Gradients and moments of one kind of map, and the steps of Adam that they take.
+struct TexelAdam {
     gradients: Buffer,
     moments: Buffer,
     /// `adam_texels` stage and threads for every map.
-    adam: Vec<(Stage, usize)>,
+    stages: Vec<(Stage, usize)>,
 }
 
 struct Kernels {
@@ -167,31 +169,26 @@ impl Pool {
                 mips.push((level, stage, map.floats(level)));
             }
         }
-        let mut pool = Self { texels, maps, mips, training: None };
+        let mut pool = Self { texels, maps, mips, adam: None };
         if let Some(status) = status {
-            pool.training = Some(Training {
+            pool.adam = Some(TexelAdam {
                 gradients: gpu.storage("mesh texel gradients", offset)?,
                 moments: gpu.storage("mesh texel moments", 2 * moments)?,
-                adam: vec![],
+                stages: vec![],
             });
-            pool.bind_training(gpu, kernels, [step, status, peaks])?;
+            pool.bind_adam(gpu, kernels, [step, status, peaks])?;
         }
         Ok(pool)
     }
 
-    fn bind_training(
-        &mut self,
-        gpu: &Gpu,
-        kernels: &Kernels,
-        [step, status, peaks]: [&Buffer; 3],
-    ) -> Result<(), GpuError> {
-        let Some(training) = &mut self.training else { return Ok(()) };
+    fn bind_adam(&mut self, gpu: &Gpu, kernels: &Kernels, [step, status, peaks]: [&Buffer; 3]) -> Result<(), GpuError> {
+        let Some(adam) = &mut self.adam else { return Ok(()) };
         for map in self.maps.iter().flatten() {
             let uniform = uniform(gpu, map, 0)?;
-            let buffers = [&uniform, step, &training.gradients, &self.texels, &training.moments, status, peaks];
+            let buffers = [&uniform, step, &adam.gradients, &self.texels, &adam.moments, status, peaks];
             // A thread updates the floats whose mean is one float of level 1.
             let threads = map.floats(1.min(map.levels - 1));
-            training.adam.push((kernels.adam.bind(gpu, &buffers), threads));
+            adam.stages.push((kernels.adam.bind(gpu, &buffers), threads));
         }
         Ok(())
     }
@@ -211,8 +208,8 @@ impl Pool {
     /// Gradients of every map, including those of coarser levels.
     #[cfg(test)]
     fn read_gradients(&self, gpu: &Gpu, unit: f32) -> Result<Vec<Vec<f32>>, GpuError> {
-        let Some(training) = &self.training else { return Ok(vec![]) };
-        let all: Vec<i32> = gpu.read(&training.gradients, self.floats())?;
+        let Some(adam) = &self.adam else { return Ok(vec![]) };
+        let all: Vec<i32> = gpu.read(&adam.gradients, self.floats())?;
         Ok(self.maps.iter().map(|map| map.map_or(vec![], |m| m.pulled(&all, unit))).collect())
     }
 
@@ -302,11 +299,12 @@ impl Texels {
 
     /// Gradients of `base` and `bands`, if trainable, in fixed point.
     pub(crate) fn gradients(&self) -> Option<(&Buffer, &Buffer)> {
-        Some((&self.base.training.as_ref()?.gradients, &self.bands.training.as_ref()?.gradients))
+        Some((&self.base.adam.as_ref()?.gradients, &self.bands.adam.as_ref()?.gradients))
     }
 
-    fn training(&self) -> impl Iterator<Item = &Training> {
-        [&self.base, &self.bands].into_iter().filter_map(|p| p.training.as_ref())
+    /// Those of `base` and `bands`, if trainable.
+    fn adam(&self) -> impl Iterator<Item = &TexelAdam> {
+        [&self.base, &self.bands].into_iter().filter_map(|p| p.adam.as_ref())
     }
 
     /// Appends the rebuilding of all levels from `first` (at least 1) on, each from the one before.
@@ -320,8 +318,8 @@ impl Texels {
     /// Appends the zeroing of the gradients of all levels and of the peaks.
     pub(crate) fn record_zero_gradients(&self, frame: &mut Frame) {
         frame.clear(&self.peaks);
-        for training in self.training() {
-            frame.clear(&training.gradients);
+        for adam in self.adam() {
+            frame.clear(&adam.gradients);
         }
     }
 
@@ -333,7 +331,7 @@ impl Texels {
     /// Appends a step of Adam on level 0, by the gradients of all levels, which also writes level 1, and the rebuilding
     /// of the other mips, so that they always match.
     pub(crate) fn record_adam(&self, frame: &mut Frame) {
-        for (stage, threads) in self.training().flat_map(|t| &t.adam) {
+        for (stage, threads) in self.adam().flat_map(|adam| &adam.stages) {
             frame.dispatch_threads(stage, *threads);
         }
         self.record_mips(frame, 2);
@@ -376,8 +374,8 @@ impl Texels {
     pub(crate) fn read_moments(&self, gpu: &Gpu) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
         let mut pairs: Vec<[f32; 2]> = vec![];
         for pool in [&self.base, &self.bands] {
-            if let Some(training) = &pool.training {
-                pairs.extend(gpu.read::<[f32; 2]>(&training.moments, pool.moments())?);
+            if let Some(adam) = &pool.adam {
+                pairs.extend(gpu.read::<[f32; 2]>(&adam.moments, pool.moments())?);
             }
         }
         Ok(pairs.into_iter().map(|[m, v]| (m, v)).unzip())
@@ -391,8 +389,8 @@ impl Texels {
             return false;
         }
         let pairs: Vec<[f32; 2]> = first.iter().zip(second).map(|(&m, &v)| [m, v]).collect();
-        for (training, part) in self.training().zip([&pairs[..base], &pairs[base..]]) {
-            gpu.write(&training.moments, 0, part);
+        for (adam, part) in self.adam().zip([&pairs[..base], &pairs[base..]]) {
+            gpu.write(&adam.moments, 0, part);
         }
         true
     }

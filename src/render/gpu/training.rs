@@ -26,6 +26,24 @@ use super::{
 };
 use crate::scene::{Atlas, Camera, HybridScene, Mesh, sh};
 
+/// What a training is for, besides a scene and cameras.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct TrainingOptions {
+    /// Weight of D-SSIM in the loss.
+    pub(crate) ssim_weight: f32,
+    /// Most splats that density control will make: buffers have room for no more, unless the scene has more.
+    pub(crate) most_splats: usize,
+    /// Whether the statistics of density control include absolute gradients (AbsGS).
+    pub(crate) absolute_gradients: bool,
+}
+
+impl Default for TrainingOptions {
+    /// The loss of 3DGS and any number of splats, without absolute gradients.
+    fn default() -> Self {
+        Self { ssim_weight: 0.2, most_splats: usize::MAX, absolute_gradients: false }
+    }
+}
+
 /// Inputs and options of one training step.
 pub(crate) struct Step<'a> {
     pub(crate) camera: &'a Camera,
@@ -86,22 +104,20 @@ pub(crate) struct Training<'g> {
     pub(super) pipeline: Pipeline,
     backward: Backward,
     photographs: UploadedPhotographs,
-    /// Distinct sizes (width, height) of the pictures at full resolution.
-    sizes: Vec<(usize, usize)>,
-    ssim_weight: f32,
     list_check: ListCheck,
     loss: Loss,
     adam: SplatAdam,
     moments: [Buffer; 4],
     /// Capacity of `moments`, splats.
     moments_of: usize,
+    /// As [`TrainingOptions::most_splats`].
+    most_splats: usize,
     rows: RowGather,
     smoothing: Option<Smoothing>,
     exposures: Option<Exposures>,
     poses: Option<Poses>,
     timer: Option<Timer>,
-    /// [`Front::generation`] that all above is bound to. `loss` and `exposures` bind buffers that are never replaced,
-    /// and are bound anew by [`Self::bind_loss`].
+    /// [`Front::generation`] that all above is bound to. `loss` and `exposures` bind buffers that are never replaced.
     bound_to: u64,
     /// [`Front::triangle_list_generation`] that `list_check` is bound to.
     checks: u64,
@@ -123,23 +139,35 @@ impl<'g> Training<'g> {
         lengths.map(|length| length.min(longest_list(self.gpu)))
     }
 
-    /// Training of a scene seen by `cameras`.
+    /// Training of a scene of any number of splats, seen by `cameras`.
+    #[cfg(test)]
     pub(crate) fn new(
         gpu: &'g Gpu,
         scene: &HybridScene,
         cameras: &[Camera],
         ssim_weight: f32,
     ) -> Result<Self, GpuError> {
-        let capacity = with_headroom(gpu, scene.splats.len(), scene.splats.sh_degree());
+        Self::with_options(gpu, scene, cameras, &TrainingOptions { ssim_weight, ..TrainingOptions::default() })
+    }
+
+    /// Training of a scene seen by `cameras`.
+    pub(crate) fn with_options(
+        gpu: &'g Gpu,
+        scene: &HybridScene,
+        cameras: &[Camera],
+        options: &TrainingOptions,
+    ) -> Result<Self, GpuError> {
+        let &TrainingOptions { ssim_weight, most_splats, absolute_gradients } = options;
+        let capacity = with_headroom(gpu, scene.splats.len(), scene.splats.sh_degree(), most_splats);
         let status = status_buffer(gpu)?;
         let pipeline = Pipeline::new(gpu, scene, capacity, cameras, Some(&status))?;
-        let backward = Backward::new(gpu, &pipeline, status)?;
+        let backward = Backward::new(gpu, &pipeline, status, absolute_gradients)?;
         let size = |c: &Camera| (c.intrinsics().width as usize, c.intrinsics().height as usize);
         let mut sizes: Vec<_> = cameras.iter().map(size).collect();
         sizes.sort_unstable();
         sizes.dedup();
         let photographs = UploadedPhotographs::new(gpu, pipeline.pixels())?;
-        let loss = new_loss(gpu, (&pipeline, &backward), &photographs.shown, &sizes, ssim_weight, None)?;
+        let loss = Loss::new(gpu, &sizes, ssim_weight, &loss_buffers(&pipeline, &backward, &photographs.shown, None))?;
         let (moments, moments_of) = (new_moments(gpu, &pipeline.front.splats)?, pipeline.front.splats.capacity);
         let adam = new_adam(gpu, &pipeline, &backward, &moments)?;
         let list_check = new_list_check(gpu, &pipeline, &backward.status);
@@ -152,12 +180,11 @@ impl<'g> Training<'g> {
             pipeline,
             backward,
             photographs,
-            sizes,
-            ssim_weight,
             list_check,
             loss,
             adam,
             moments_of,
+            most_splats,
             moments,
             rows,
             smoothing,
@@ -233,8 +260,12 @@ impl<'g> Training<'g> {
             exposures.write(self.gpu, state);
             return Ok(());
         }
-        self.exposures = Some(Exposures::new(self.gpu, state, self.pipeline.pixels())?);
-        self.bind_loss()
+        let (pipeline, backward, truth) = (&self.pipeline, &self.backward, &self.photographs.shown);
+        let mut exposures = Exposures::new(self.gpu, state, pipeline.pixels())?;
+        exposures.bind(self.gpu, pipeline, backward, truth);
+        self.loss.rebind(self.gpu, &loss_buffers(pipeline, backward, truth, Some(&exposures.views.values)));
+        self.exposures = Some(exposures);
+        Ok(())
     }
 
     /// Reads the exposures, if there are any. Waits.
@@ -273,11 +304,6 @@ impl<'g> Training<'g> {
         if let Some(smoothing) = &self.smoothing {
             smoothing.run(self.gpu, &self.pipeline.front.splats.geometry, self.pipeline.front.n_splats);
         }
-    }
-
-    /// Adds absolute gradients to the statistics of density control.
-    pub(crate) fn sum_absolute_gradients(&mut self) -> Result<(), GpuError> {
-        self.backward.sum_absolute_gradients(self.gpu, &self.pipeline)
     }
 
     /// Lets the vertices of `meshes`, those of the scene, move by `Step::vertices`.
@@ -418,38 +444,25 @@ impl<'g> Training<'g> {
         self.bound_to = generation;
         Ok(())
     }
-
-    fn bind_loss(&mut self) -> Result<(), GpuError> {
-        let Self { gpu, pipeline, backward, photographs, sizes, ssim_weight, .. } = &*self;
-        let exposures = self.exposures.as_ref().map(|exposures| &exposures.views.values);
-        self.loss = new_loss(gpu, (pipeline, backward), &photographs.shown, sizes, *ssim_weight, exposures)?;
-        if let Some(exposures) = &mut self.exposures {
-            exposures.bind(self.gpu, &self.pipeline, &self.backward, &self.photographs.shown);
-        }
-        Ok(())
-    }
 }
 
 fn sh_floats(splats: &SplatBuffers) -> usize {
     3 * sh::coefficients(splats.sh_degree)
 }
 
-fn new_loss(
-    gpu: &Gpu,
-    (pipeline, backward): (&Pipeline, &Backward),
-    truth: &Buffer,
-    sizes: &[(usize, usize)],
-    ssim_weight: f32,
-    exposures: Option<&Buffer>,
-) -> Result<Loss, GpuError> {
-    let buffers = LossBuffers {
+fn loss_buffers<'a>(
+    pipeline: &'a Pipeline,
+    backward: &'a Backward,
+    truth: &'a Buffer,
+    exposures: Option<&'a Buffer>,
+) -> LossBuffers<'a> {
+    LossBuffers {
         view: &pipeline.front.view,
         image: &pipeline.blend.image,
         truth,
         gradient: &backward.image_gradient,
         exposures,
-    };
-    Loss::new(gpu, sizes, ssim_weight, &buffers)
+    }
 }
 
 fn new_list_check(gpu: &Gpu, pipeline: &Pipeline, status: &Buffer) -> ListCheck {

@@ -213,13 +213,19 @@ fn relative(found: &[f32], expected: &[f32]) -> f64 {
 }
 
 /// A training on this adapter after one step, with pictures of `cameras`.
-pub(super) fn stepped<'g>(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], at: &Camera) -> Training<'g> {
+fn stepped<'g>(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], at: &Camera) -> Training<'g> {
     let mut training = Training::new(gpu, scene, cameras, 0.2).unwrap();
     training.refine_poses(&PoseState::new(1)).unwrap();
+    step_with_long_lists(&mut training, at);
+    training
+}
+
+/// A step, repeated until its lists are long enough.
+pub(super) fn step_with_long_lists(training: &mut Training, at: &Camera) {
     loop {
-        step(&mut training, at);
+        step(training, at);
         if training.grow_if_short().unwrap() == 0 {
-            return training;
+            return;
         }
     }
 }

@@ -194,7 +194,7 @@ impl Gpu {
             return Ok(take(&[]));
         }
         let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ;
-        let staging = self.create("read-back", total + self.epoch_bytes(), usage)?;
+        let staging = self.create("read-back", total + self.pass_count_bytes(), usage)?;
         let parts = parts.iter().filter(|(_, bytes)| *bytes > 0).map(|(buffer, bytes)| (&buffer.raw, padded(*bytes)));
         let passes = self.submit_copies(parts, &staging);
         let failed = |reason: String| GpuError::Failed { adapter: self.adapter.clone(), reason };

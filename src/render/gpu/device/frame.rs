@@ -8,7 +8,7 @@ pub(crate) struct Frame<'a> {
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
     timer: Option<&'a mut Timer>,
-    /// Passes recorded that the adapter counts (`epoch.rs`).
+    /// Passes recorded that the adapter counts (`pass_count.rs`).
     counted: u32,
     #[cfg(test)]
     dispatches: usize,
@@ -109,10 +109,11 @@ impl<'a> Frame<'a> {
         self.encoder.clear_buffer(&buffer.raw, 0, None);
     }
 
-    /// Copies all of a buffer to the start of another that is at least as long.
+    /// Copies the start of a buffer to that of another, as much as both hold.
     pub(crate) fn copy(&mut self, from: &Buffer, to: &Buffer) {
         self.end_pass();
-        self.encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, from.raw.size());
+        let bytes = from.raw.size().min(to.raw.size());
+        self.encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, bytes);
     }
 
     /// Ends the open pass, if there is one, and has it counted.
@@ -183,7 +184,7 @@ impl Gpu {
         frame.close();
         let Frame { mut encoder, counted, .. } = frame;
         let mut offset = 0;
-        let ran = self.counts_passes.then(|| (self.epoch.raw(), self.epoch_bytes()));
+        let ran = self.counts_passes.then(|| (self.pass_count.raw(), self.pass_count_bytes()));
         for (buffer, bytes) in parts.chain(ran) {
             encoder.copy_buffer_to_buffer(buffer, 0, staging, offset, bytes);
             offset += bytes;

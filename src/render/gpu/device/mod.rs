@@ -2,11 +2,11 @@
 
 mod adapters;
 mod buffer;
-mod epoch;
 mod error;
 mod frame;
 mod host_memory;
 mod kernel;
+mod pass_count;
 #[cfg(test)]
 mod translation;
 
@@ -20,11 +20,11 @@ pub use adapters::{AdapterSummary, Profile, list_adapters, survey_adapters};
 use adapters::{adapters, choose, loop_passes, max_binding_bytes, summaries, wanted_limits};
 pub(crate) use buffer::Buffer;
 use buffer::Memory;
-use epoch::Epoch;
 use error::Failure;
 pub use error::GpuError;
 pub(crate) use frame::{Frame, Timer, groups};
 pub(crate) use kernel::{Kernel, Stage};
+use pass_count::PassCount;
 
 use super::shader::Defines;
 
@@ -40,12 +40,12 @@ pub struct Gpu {
     /// Whether frames are submitted in parts: it may also draw the displays, and systems end submissions that keep it
     /// from that.
     splits_frames: bool,
-    /// Whether it may abort submissions without a word (`epoch.rs`).
+    /// Whether it may abort submissions without a word (`pass_count.rs`).
     counts_passes: bool,
     /// As [`Self::loop_passes`].
     loop_passes: Option<usize>,
     memory: Arc<Memory>,
-    epoch: Epoch,
+    pass_count: PassCount,
     failure: Arc<Mutex<Option<Failure>>>,
     kernels: Mutex<HashMap<(String, Defines), Kernel>>,
 }
@@ -93,7 +93,7 @@ impl Gpu {
                 report(&slot, Failure::Other(format!("the device was lost: {message}")));
             }
         });
-        let epoch = Epoch::new(&device);
+        let pass_count = PassCount::new(&device);
         let is_cpu = info.device_type == wgpu::DeviceType::Cpu;
         Ok(Self {
             device,
@@ -111,7 +111,7 @@ impl Gpu {
             // Tests show that nothing goes uncounted.
             counts_passes: info.backend == wgpu::Backend::Metal || cfg!(test),
             memory: Arc::default(),
-            epoch,
+            pass_count,
             failure,
             kernels: Mutex::default(),
         })

@@ -171,26 +171,25 @@ fn absolute_gradients_are_those_of_every_pixel_alone() {
             pipeline.record(&gpu, &mut frame, &view);
             backward.record(&mut frame, pipeline, &view);
             frame.submit();
-            let (moments, row) = backward.moments();
-            gpu.read(moments, n * row).unwrap()
+            let (sums, row) = backward.sums();
+            gpu.read(sums, n * row).unwrap()
         };
-        let mut plain = differentiable(&gpu, &scene, &camera);
+        let mut plain = differentiable(&gpu, &scene, &camera, false);
         let expected = expected.get_or_insert_with(|| {
             let mut sums = vec![[0.0_f64; 2]; n];
             for p in 0..cotangent.rgb.len() {
-                let moments = frame(&mut plain, Some(p));
+                let of_pixel = frame(&mut plain, Some(p));
                 let projected: Vec<f32> = gpu.read(&plain.0.front.lists.projected, 12 * n).unwrap();
                 for (i, sum) in sums.iter_mut().enumerate() {
-                    let (m, q) = (&moments[10 * i..], &projected[12 * i + 4..]);
-                    sum[0] += f64::from(q[0] * m[1] - q[1] * q[2] * m[2]).abs();
-                    sum[1] += f64::from(q[2] * m[2]).abs();
+                    let (s, q) = (&of_pixel[10 * i..], &projected[12 * i + 4..]);
+                    sum[0] += f64::from(q[0] * s[1] - q[1] * q[2] * s[2]).abs();
+                    sum[1] += f64::from(q[2] * s[2]).abs();
                 }
             }
             sums
         });
         let all = frame(&mut plain, None);
-        let mut absolute = differentiable(&gpu, &scene, &camera);
-        absolute.1.sum_absolute_gradients(&gpu, &absolute.0).unwrap();
+        let mut absolute = differentiable(&gpu, &scene, &camera, true);
         let found = frame(&mut absolute, None);
         let statistics: Vec<f32> = gpu.read(&absolute.1.splats.statistics, 4 * n).unwrap();
         let k = camera.intrinsics();
@@ -217,7 +216,7 @@ fn vertex_gradients_equal_the_reference() {
             let (scene, camera) = testing::smooth_scene(seed, [1, 2, 4, 1][seed as usize], MODES[seed as usize % 3]);
             let cotangent = random_cotangent(&camera, seed);
             let expected = reference::backward(&scene, &camera, &cotangent).positions;
-            let (mut pipeline, backward) = differentiable(&gpu, &scene, &camera);
+            let (mut pipeline, backward) = differentiable(&gpu, &scene, &camera, false);
             let state = VertexState::new(&scene.meshes, 1.0);
             let mesh = pipeline.front.mesh.as_mut().unwrap();
             mesh.free_vertices(&gpu, &scene.meshes, &pipeline.front.view, &backward.status, &state).unwrap();

@@ -138,7 +138,7 @@ fn twenty_steps_equal_adam_in_f64() {
                 // Integers with few enough digits for f32 to represent the sum over all levels.
                 let mut units = || if rng.random_range(0..10) < 7 { 0 } else { rng.random_range(-32_000..32_000) };
                 let gradients: Vec<i32> = (0..pool.floats()).map(|_| units()).collect();
-                gpu.write(&pool.training.as_ref().unwrap().gradients, 0, &gradients);
+                gpu.write(&pool.adam.as_ref().unwrap().gradients, 0, &gradients);
                 let unit = *of_kind * f64::from(peak) / f64::from(FIXED_ONE);
                 hosts.iter_mut().for_each(|host| host.step(&step, &gradients, unit));
             }
@@ -151,7 +151,7 @@ fn twenty_steps_equal_adam_in_f64() {
         let (mut moved, mut at_limit) = (0, 0);
         for (pool, hosts, _) in &kinds {
             let all: Vec<f32> = gpu.read(&pool.texels, pool.floats()).unwrap();
-            let moments = &pool.training.as_ref().unwrap().moments;
+            let moments = &pool.adam.as_ref().unwrap().moments;
             let moments: Vec<[f32; 2]> = gpu.read(moments, pool.moments()).unwrap();
             for (i, host) in hosts.iter().enumerate() {
                 let kind = if host.map.is_base { "base" } else { "bands" };

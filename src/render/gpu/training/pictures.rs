@@ -38,7 +38,7 @@ impl Training<'_> {
             self.gpu.write(&self.backward.image_gradient, 0, &padded);
             let mut frame = Frame::new(self.gpu);
             // Splats out of view would otherwise keep sums of another view.
-            frame.clear(self.backward.moments().0);
+            frame.clear(self.backward.sums().0);
             self.pipeline.record(self.gpu, &mut frame, &view);
             frame.split();
             self.backward.record_blend(&mut frame, &view);
@@ -47,9 +47,9 @@ impl Training<'_> {
                 break;
             }
         }
-        let (moments, row) = self.backward.moments();
-        let rows: Vec<f32> = self.gpu.read(moments, self.pipeline.front.n_splats * row)?;
-        Ok(rows.chunks_exact(row).map(|m| [m[6], m[7], m[8], m[9]]).collect())
+        let (sums, row) = self.backward.sums();
+        let rows: Vec<f32> = self.gpu.read(sums, self.pipeline.front.n_splats * row)?;
+        Ok(rows.chunks_exact(row).map(|s| [s[6], s[7], s[8], s[9]]).collect())
     }
 
     /// Median depth of the splats alone, `[h·w]`, 0 where there is none. Waits.

@@ -51,8 +51,9 @@ impl Training<'_> {
         self.gpu.read(&self.pipeline.front.splats.geometry, self.pipeline.front.n_splats * GEOMETRY_FLOATS)
     }
 
-    /// Replaces the geometry of all splats; each takes everything else from its source. Statistics are zeroed. Waits
-    /// only if buffers have to grow, or for more geometry than is uploaded at once.
+    /// Replaces the geometry of all splats; each takes everything else from its source. Statistics are zeroed. Buffers
+    /// that have room for more than [`TrainingOptions::most_splats`](super::TrainingOptions) are replaced by smaller
+    /// ones. Waits only if buffers are replaced, or for more geometry than is uploaded at once.
     ///
     /// # Errors
     /// If the adapter has no memory left.
@@ -61,7 +62,8 @@ impl Training<'_> {
         assert_eq!(geometry.len(), n * GEOMETRY_FLOATS, "one source per splat");
         debug_assert!(sources.iter().all(|s| s.splat() < self.pipeline.front.n_splats), "sources are splats");
         if n > self.pipeline.front.splats.capacity {
-            self.enlarge(n)?;
+            let [pairs, _] = self.list_lengths();
+            self.reallocate(self.room_for(n), pairs)?;
         }
         let (p, [gm, gv, sm, sv]) = (&self.pipeline.front, &self.moments);
         // Gradients serve as scratch space, as the next step writes them before it reads them.
@@ -80,30 +82,38 @@ impl Training<'_> {
         frame.clear(&gradients.statistics);
         frame.submit();
         self.pipeline.front.n_splats = n;
-        Ok(())
+        let capacity = self.pipeline.front.splats.capacity;
+        let enough = capacity.min(self.most_splats).max(n);
+        // Fewer splats also have fewer pairs than the lists may have grown for.
+        if enough < capacity { self.reallocate(enough, 0) } else { Ok(()) }
     }
 
-    /// Makes room for `n` splats. Buffers that every step refills are freed first and reallocated last, so that the
-    /// copying of parameters and moments in between peaks no higher than the final allocation. Waits.
-    fn enlarge(&mut self, n: usize) -> Result<(), GpuError> {
+    /// Capacity of buffers for `n` splats.
+    fn room_for(&self, n: usize) -> usize {
+        with_headroom(self.gpu, n, self.pipeline.front.splats.sh_degree, self.most_splats)
+    }
+
+    /// Gives buffers room for `capacity` splats, no fewer than there are, and lists room for at least `pairs` pairs.
+    /// Buffers that every step refills are freed first and reallocated last, so that the copying of parameters and
+    /// moments in between peaks no higher than the larger allocation of the two. Waits.
+    fn reallocate(&mut self, capacity: usize, pairs: usize) -> Result<(), GpuError> {
         let (gpu, sh_degree, n_splats) = (self.gpu, self.pipeline.front.splats.sh_degree, self.pipeline.front.n_splats);
-        let [pairs, _] = self.list_lengths();
         self.pipeline.front.n_splats = 0;
         let splats = self.pipeline.replace_splats(gpu, SplatBuffers::new(gpu, 0, sh_degree)?, 0)?;
         let moments = self.replace_moments(new_moments(gpu, &self.pipeline.front.splats)?);
         self.refresh()?;
-        let larger = SplatBuffers::new(gpu, with_headroom(gpu, n, sh_degree), sh_degree)?;
-        let larger_moments = new_moments(gpu, &larger)?;
-        let parameters = [(&splats.geometry, &larger.geometry), (&splats.sh, &larger.sh)];
+        let others = SplatBuffers::new(gpu, capacity, sh_degree)?;
+        let other_moments = new_moments(gpu, &others)?;
+        let parameters = [(&splats.geometry, &others.geometry), (&splats.sh, &others.sh)];
         let mut frame = Frame::new(gpu);
-        for (from, to) in parameters.into_iter().chain(moments.iter().zip(&larger_moments)) {
+        for (from, to) in parameters.into_iter().chain(moments.iter().zip(&other_moments)) {
             frame.copy(from, to);
         }
         frame.submit();
         drop((splats, moments));
         gpu.wait()?;
-        self.pipeline.replace_splats(gpu, larger, pairs)?;
-        self.replace_moments(larger_moments);
+        self.pipeline.replace_splats(gpu, others, pairs)?;
+        self.replace_moments(other_moments);
         self.refresh()?;
         self.pipeline.front.n_splats = n_splats;
         Ok(())
@@ -113,11 +123,11 @@ impl Training<'_> {
     pub(crate) fn write_splats(&mut self, state: &SplatState) -> Result<(), GpuError> {
         let n = state.len();
         if n > self.pipeline.front.splats.capacity {
-            let sh_degree = self.pipeline.front.splats.sh_degree;
+            let (sh_degree, room) = (self.pipeline.front.splats.sh_degree, self.room_for(n));
             // All data is on the host: the old buffers are freed first, so that both need not fit.
             let [pairs, _] = self.list_lengths();
             self.pipeline.front.n_splats = 0;
-            for (capacity, pairs) in [(0, 0), (with_headroom(self.gpu, n, sh_degree), pairs)] {
+            for (capacity, pairs) in [(0, 0), (room, pairs)] {
                 let splats = SplatBuffers::new(self.gpu, capacity, sh_degree)?;
                 self.pipeline.replace_splats(self.gpu, splats, pairs)?;
                 self.refresh()?;

@@ -218,7 +218,7 @@ fn adam_has_the_gradients_of_the_reference() {
         };
         let status = status_buffer(&gpu).unwrap();
         let mut pipeline = Pipeline::new(&gpu, &scene, 0, &[camera], Some(&status)).unwrap();
-        let backward = Backward::new(&gpu, &pipeline, status).unwrap();
+        let backward = Backward::new(&gpu, &pipeline, status, false).unwrap();
         let state = VertexState::new(&scene.meshes, 1.0);
         let front = &mut pipeline.front;
         let mesh = front.mesh.as_mut().unwrap();

@@ -8,8 +8,8 @@ use crate::render::gpu::shader::Defines;
 
 /// Number of compute passes that ran to their end: what the adapter counts and what the host expects. On Metal a pass
 /// is what is aborted; elsewhere, but in tests, nothing is counted, and both stay 0.
-pub(super) struct Epoch {
-    /// As in `shaders/epoch.wgsl`: the adapter's count, and the host's before and after the present submission.
+pub(super) struct PassCount {
+    /// As in `shaders/count_passes.wgsl`: the adapter's count, and the host's before and after the present submission.
     buffer: Buffer,
     /// Kernel that counts; compiled when the first pass ends.
     stage: OnceLock<Stage>,
@@ -17,9 +17,9 @@ pub(super) struct Epoch {
     submitted: Mutex<u32>,
 }
 
-impl Epoch {
+impl PassCount {
     pub(super) fn new(device: &wgpu::Device) -> Self {
-        Self { buffer: Buffer::uncounted(device, "epoch", 16), stage: OnceLock::new(), submitted: Mutex::new(0) }
+        Self { buffer: Buffer::uncounted(device, "pass count", 16), stage: OnceLock::new(), submitted: Mutex::new(0) }
     }
 
     /// Buffer that begins with the adapter's count, a word.
@@ -31,23 +31,23 @@ impl Epoch {
 impl Gpu {
     /// Kernel that counts a pass: one workgroup, the last that the pass dispatches.
     pub(super) fn count_pass(&self) -> &Stage {
-        let new = || Stage::new(self, "epoch.wgsl", "main", &Defines::default(), &[&self.epoch.buffer]);
-        self.epoch.stage.get_or_init(new)
+        let new = || Stage::new(self, "count_passes.wgsl", "main", &Defines::default(), &[&self.pass_count.buffer]);
+        self.pass_count.stage.get_or_init(new)
     }
 
     /// Bytes of the adapter's count, 0 where passes are not counted.
-    pub(super) fn epoch_bytes(&self) -> u64 {
+    pub(super) fn pass_count_bytes(&self) -> u64 {
         if self.counts_passes { 4 } else { 0 }
     }
 
     /// Submits commands with this many counted passes. Returns what the adapter has counted after them unless something
     /// was aborted.
     pub(super) fn submit(&self, commands: wgpu::CommandBuffer, passes: u32) -> u32 {
-        let mut submitted = self.epoch.submitted.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut submitted = self.pass_count.submitted.lock().unwrap_or_else(PoisonError::into_inner);
         let range = [*submitted, submitted.wrapping_add(passes)];
         if passes > 0 {
             // Written last: should the writes before a submission be aborted, this one is, and the passes do not count.
-            self.queue.write_buffer(&self.epoch.buffer.raw, 4, bytemuck::cast_slice(&range));
+            self.queue.write_buffer(&self.pass_count.buffer.raw, 4, bytemuck::cast_slice(&range));
         }
         self.queue.submit([commands]);
         *submitted = range[1];
@@ -64,7 +64,7 @@ impl Gpu {
     /// Passes submitted so far.
     #[cfg(test)]
     pub(crate) fn passes(&self) -> u32 {
-        *self.epoch.submitted.lock().unwrap()
+        *self.pass_count.submitted.lock().unwrap()
     }
 }
 
@@ -81,10 +81,11 @@ mod tests {
     fn frames_that_ran_are_read() {
         let gpu = Gpu::open(None).unwrap();
         // Numbers wrap around.
-        *gpu.epoch.submitted.lock().unwrap() = u32::MAX - 5;
-        gpu.queue.write_buffer(gpu.epoch.raw(), 0, &(u32::MAX - 5).to_ne_bytes());
+        *gpu.pass_count.submitted.lock().unwrap() = u32::MAX - 5;
+        gpu.queue.write_buffer(gpu.pass_count.raw(), 0, &(u32::MAX - 5).to_ne_bytes());
         let (from, to) = (counted(&gpu), gpu.storage("copy", 2).unwrap());
-        let stage = Stage::new(&gpu, "epoch.wgsl", "main", &Defines::default(), &[&gpu.storage("other", 4).unwrap()]);
+        let stage =
+            Stage::new(&gpu, "count_passes.wgsl", "main", &Defines::default(), &[&gpu.storage("other", 4).unwrap()]);
         for frames in 1..10 {
             for _ in 0..frames {
                 let mut frame = Frame::new(&gpu);
@@ -101,7 +102,7 @@ mod tests {
     #[test]
     fn nothing_is_read_after_an_aborted_submission() {
         // The host expects a pass that never ran; a pass that was submitted without what is written before it.
-        let no_pass = |gpu: &Gpu| *gpu.epoch.submitted.lock().unwrap() += 1;
+        let no_pass = |gpu: &Gpu| *gpu.pass_count.submitted.lock().unwrap() += 1;
         let no_writes = |gpu: &Gpu| {
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
@@ -109,7 +110,7 @@ mod tests {
             pass.dispatch_workgroups(1, 1, 1);
             drop(pass);
             gpu.queue.submit([encoder.finish()]);
-            *gpu.epoch.submitted.lock().unwrap() += 1;
+            *gpu.pass_count.submitted.lock().unwrap() += 1;
         };
         for abort in [&no_pass as &dyn Fn(&Gpu), &no_writes] {
             let gpu = Gpu::open(None).unwrap();

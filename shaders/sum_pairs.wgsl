@@ -1,7 +1,7 @@
 // Adds up the per-tile sums of a splat in a fixed order of its tiles, so that the sum is the same in every run. On GPUs
-// one thread per visible splat and moment: neighbouring threads read a row of moments together, and consecutive rows.
-// On software adapters, which execute the lanes of every load in turn, one thread per splat with all of its moments,
-// two per load if their number is even. Per (tile, splat) pair 4·MOMENTS bytes read.
+// one thread per visible splat and sum: neighbouring threads read a row of sums together, and consecutive rows.
+// On software adapters, which execute the lanes of every load in turn, one thread per splat with all of its sums,
+// two per load if their number is even. Per (tile, splat) pair 4·SUMS bytes read.
 
 //#import shared/group_index.wgsl
 //#import shared/saturating_add.wgsl
@@ -17,7 +17,7 @@ alias Value = f32;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;            // number of the first pair of each
 @group(0) @binding(3) var<storage, read> tile_count: array<u32>;         // [splat]
 @group(0) @binding(4) var<storage, read> rows: array<Value>;             // [number within the window][VALUES]
-@group(0) @binding(5) var<storage, read_write> moments: array<Value>;    // [splat][VALUES]
+@group(0) @binding(5) var<storage, read_write> sums: array<Value>;       // [splat][VALUES]
 
 const THREADS_A_SPLAT: u32 = VALUES / TOGETHER;
 //#if BY_EIGHT
@@ -43,7 +43,7 @@ fn main(
     let place = splat * VALUES + value;
     //#for j in 0..TOGETHER
     var sum$j = Value();
-    if first < WINDOW_START { sum$j = moments[place + $ju]; }
+    if first < WINDOW_START { sum$j = sums[place + $ju]; }
     //#end
     var row = max(first, WINDOW_START);
 //#if BY_EIGHT
@@ -67,6 +67,6 @@ fn main(
     }
     if first >= WINDOW_END { return; }
     //#for j in 0..TOGETHER
-    moments[place + $ju] = sum$j;
+    sums[place + $ju] = sum$j;
     //#end
 }
