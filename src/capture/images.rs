@@ -1,5 +1,6 @@
 //! Pictures of views: from a file to a picture that fits its pinhole camera.
 
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use image::imageops::{self, FilterType};
@@ -45,11 +46,6 @@ impl ImageSource {
     #[must_use]
     pub fn lens(&self) -> &Lens {
         &self.lens
-    }
-
-    /// The same picture, to be shrunk to this size when decoded.
-    pub(super) fn resized(&self, size: (u32, u32)) -> Self {
-        Self { size, ..self.clone() }
     }
 
     /// Whether the capture itself puts this view into its test set; `None` if it has no split of its own.
@@ -102,15 +98,24 @@ pub fn decode(view: &View) -> Result<Photo, CaptureError> {
         rgba = RgbaImage::from_raw(width, height, pinhole).expect("rectify keeps the size");
     }
     let (width, height) = source.size;
-    let rgba = resize(rgba, width, height).into_raw();
-    Ok(Photo { width, height, rgba, has_alpha, masked })
+    if rgba.dimensions() != source.size {
+        rgba = resize(rgba, width, height);
+    }
+    Ok(Photo { width, height, rgba: rgba.into_raw(), has_alpha, masked })
+}
+
+/// A decoded picture, resized to this width and height as [`decode`] does.
+pub(super) fn reduced(photo: &Photo, (width, height): (u32, u32)) -> Photo {
+    if (photo.width, photo.height) == (width, height) {
+        return photo.clone();
+    }
+    let rgba = image::ImageBuffer::<Rgba<u8>, &[u8]>::from_raw(photo.width, photo.height, &photo.rgba);
+    let rgba = resize(rgba.expect("a picture has all its pixels"), width, height).into_raw();
+    Photo { width, height, rgba, ..*photo }
 }
 
 /// Resizes bicubically (a = −½) with the support scaled by the factor, as Pillow does. Colours are weighted by alpha.
-fn resize(rgba: RgbaImage, width: u32, height: u32) -> RgbaImage {
-    if rgba.dimensions() == (width, height) {
-        return rgba;
-    }
+fn resize<C: Deref<Target = [u8]>>(rgba: image::ImageBuffer<Rgba<u8>, C>, width: u32, height: u32) -> RgbaImage {
     if rgba.pixels().all(|p| p[3] == 255) {
         return imageops::resize(&rgba, width, height, FilterType::CatmullRom);
     }
@@ -238,6 +243,21 @@ mod tests {
             assert!(pixel[..3].iter().zip([200, 100, 50]).all(|(a, b)| a.abs_diff(b) <= 2), "{pixel:?}");
         }
         assert!((100..156).contains(&photo.rgba[4 + 3]), "half covered: {}", photo.rgba[4 + 3]);
+    }
+
+    /// Reduced pictures have the colours and the alpha of those that are downscaled when they are decoded.
+    #[test]
+    fn decoded_pictures_are_reduced_as_when_they_are_decoded() {
+        let of = |alpha: u8| {
+            RgbaImage::from_fn(16, 8, |x, y| Rgba([x as u8 * 15, y as u8 * 30, 90, if x > 5 { 255 } else { alpha }]))
+        };
+        for file in [0, 130, 255].map(|alpha| png(&of(alpha).into())) {
+            let [whole, quarter] =
+                [Downscale::Full, Downscale::Factor(4)].map(|downscale| photo_of(&file, 16, 8, downscale).unwrap());
+            assert!(reduced(&whole, (4, 2)) == quarter && reduced(&whole, (16, 8)) == whole);
+            let masked = Photo { masked: true, ..whole };
+            assert_eq!(reduced(&masked, (4, 2)), Photo { masked: true, ..quarter });
+        }
     }
 
     #[test]

@@ -105,13 +105,11 @@ pub struct View {
 }
 
 impl View {
-    /// The view with both sides of its picture scaled, to at least one pixel each. The camera follows the rounded size.
-    #[must_use]
-    pub fn scaled(&self, scale: f64) -> Self {
+    /// Width and height of the view's picture with both sides scaled, at least one pixel each.
+    fn scaled_size(&self, scale: f64) -> (u32, u32) {
         let k = self.camera.intrinsics();
         let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
-        let size = (side(k.width), side(k.height));
-        Self { camera: self.camera.resized(size.0, size.1), source: self.source.resized(size), ..self.clone() }
+        (side(k.width), side(k.height))
     }
 }
 

@@ -7,7 +7,7 @@
 
 /// Relative side of the first pictures: a quarter of the content is there.
 const FIRST: f64 = 0.25;
-/// Number of sizes. All but the full one are used for equally many iterations, each in pictures decoded anew.
+/// Number of sizes. All but the full one are used for equally many iterations, each in pictures made anew.
 const SIZES: u32 = 7;
 /// Least number of pixels along the longer side of a reduced picture.
 const LEAST_SIDE: f64 = 32.0;

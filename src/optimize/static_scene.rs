@@ -11,6 +11,7 @@ mod finding;
 mod handover;
 mod identity;
 mod masks;
+mod order;
 mod origin;
 mod phase;
 mod photographs;

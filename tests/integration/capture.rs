@@ -151,7 +151,7 @@ fn skull66_opens_without_observations() {
     // Six pictures fit into the cache; every result is the same as without it.
     let cache = PhotoCache::new(200 * 133 * 4 * 7);
     for pair in capture.views[..14].windows(2) {
-        cache.prefetch(&pair[1]);
+        cache.prefetch([&pair[1]]);
         assert_eq!(*cache.get(&pair[0]).unwrap(), decode(&pair[0]).unwrap());
     }
 }

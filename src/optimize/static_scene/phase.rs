@@ -15,6 +15,7 @@ use crate::{
         resume::{HostState, Saved},
     },
     render::gpu::{
+        photographs::Truth,
         pose::PoseState,
         training::{Look, Show, Training},
         vertices::VertexState,
@@ -207,12 +208,23 @@ impl Run<'_> {
 
     /// One training step on one view: forward, backward, Adam.
     pub(super) fn step(&self, training: &mut Training, plan: &Plan, t: u32) -> Result<(), TrainError> {
-        let view = plan.view_at(&self.setup, t);
-        let photo = self.views.photos.of_step(view, plan.view_at(&self.setup, t + 1))?;
+        let (photos, view) = (&self.views.photos, plan.view_at(t));
+        let (width, height) = photos.size_in_steps(view);
+        let kept = |view: usize| training.kept_photograph(view, photos.size_in_steps(view));
+        let photo;
+        let truth = match kept(view) {
+            Some(kept) => Truth::Kept(kept),
+            None => {
+                photo = photos.of_step(view)?;
+                Truth::Sent { rgba: &photo.rgba, number: Some(view) }
+            }
+        };
+        // While this step is on the GPU. Whether the adapter keeps this view's photograph is not known before.
+        photos.prefetch(plan.views_after(t).filter(|&next| next != view && kept(next).is_none()));
         // Where it was found to be, at the size of the picture.
-        let camera = self.views.cameras[view].resized(photo.width, photo.height);
+        let camera = self.views.cameras[view].resized(width, height);
         let n_splats = training.n_splats() as u32;
-        training.step(&plan.step_on(&self.setup, t, n_splats, view, &camera, &photo))?;
+        training.step(&plan.step_on(&self.setup, t, n_splats, view, &camera, (truth, photos.alpha(view))))?;
         Ok(())
     }
 

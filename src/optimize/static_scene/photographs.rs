@@ -17,18 +17,13 @@ pub(super) struct Photographs<'a> {
     views: &'a [View],
     /// Most bytes of all caches together.
     budget: usize,
-    cache: PhotoCache,
-    small: Option<Small>,
+    whole: PhotoCache,
+    /// Cache of reduced photographs, and the scale of both sides, while these are trained on.
+    small: Option<(PhotoCache, f64)>,
+    /// Meaning of each photograph's alpha; of training views only.
+    alphas: Vec<TruthAlpha>,
     /// Whether photographs have masks or alpha: then nothing is behind what they show.
     pub(super) are_cut_out: bool,
-}
-
-/// Views while they are trained on at a reduced size.
-struct Small {
-    /// Scale of both sides.
-    scale: f64,
-    views: Vec<View>,
-    cache: PhotoCache,
 }
 
 impl<'a> Photographs<'a> {
@@ -42,21 +37,26 @@ impl<'a> Photographs<'a> {
         Self::within(BUDGET, capture, train, test)
     }
 
-    fn within(
+    /// As [`Self::open`], with this budget, bytes.
+    pub(super) fn within(
         budget: usize,
         capture: &'a Capture,
         train: &[usize],
         mut test: impl Iterator<Item = usize>,
     ) -> Result<Self, CaptureError> {
-        let (views, cache) = (capture.views.as_slice(), PhotoCache::new(budget));
-        let has_alpha = |&i: &usize| cache.get(&views[i]).map(|photo| photo.has_alpha);
-        let any = |a: bool, b: bool| Ok::<_, CaptureError>(a || b);
+        let (views, whole) = (capture.views.as_slice(), PhotoCache::new(budget));
         let mut are_cut_out = capture.has_masks();
+        let mut alphas = vec![TruthAlpha::default(); views.len()];
+        let look_at = |&i: &usize| whole.get(&views[i]).map(|photo| (i, truth_alpha(&photo), photo.has_alpha));
         for part in train.chunks(DECODED_AT_ONCE) {
-            are_cut_out |= part.par_iter().map(has_alpha).try_reduce(|| false, any)?;
+            let found: Result<Vec<_>, CaptureError> = part.par_iter().map(look_at).collect();
+            for (i, alpha, has_alpha) in found? {
+                alphas[i] = alpha;
+                are_cut_out |= has_alpha;
+            }
         }
-        test.try_for_each(|i| has_alpha(&i).map(drop))?;
-        Ok(Self { views, budget, cache, small: None, are_cut_out })
+        test.try_for_each(|i| whole.get(&views[i]).map(drop))?;
+        Ok(Self { views, budget, whole, small: None, alphas, are_cut_out })
     }
 
     /// Photograph of a view by its index in the capture, at its full size.
@@ -66,44 +66,58 @@ impl<'a> Photographs<'a> {
 
     /// Photograph of a view of the capture, at its full size.
     pub(super) fn whole(&self, view: &View) -> Result<Arc<Photo>, CaptureError> {
-        self.cache.get(view)
+        self.whole.get(view)
     }
 
-    /// Sets the scale of the sides of pictures that [`Self::of_step`] returns from now on.
+    /// Sets the scale of both sides of the pictures of steps from now on.
     pub(super) fn resize(&mut self, scale: f64) {
-        if self.small.as_ref().map_or(1.0, |small| small.scale) == scale {
+        let scale = scale.min(1.0);
+        if self.small.as_ref().map_or(1.0, |(_, scale)| *scale) == scale {
             return;
         }
-        self.small = None;
-        if scale >= 1.0 {
-            if self.cache.budget() < self.budget {
-                self.cache = PhotoCache::new(self.budget);
-            }
+        // Threads that were to fill it would hold it for a while.
+        if let Some((small, _)) = self.small.take() {
+            small.set_budget(0);
+        }
+        if scale == 1.0 {
+            self.whole.set_budget(self.budget);
             return;
         }
-        let views: Vec<View> = self.views.iter().map(|view| view.scaled(scale)).collect();
-        // Steps have priority; full-size photographs, needed at the ends of phases, are kept as far as there is room
-        // beside them.
-        let wanted = PhotoCache::budget_for(&views).min(self.budget - self.budget / 8);
-        if self.cache.bytes() + wanted > self.budget {
-            self.cache = PhotoCache::new(self.budget - wanted);
-        }
-        self.small = Some(Small { scale, views, cache: PhotoCache::new(wanted) });
+        // Steps have priority; full-size photographs, needed for the next size and at the ends of phases, are kept as
+        // far as there is room beside theirs.
+        let wanted = PhotoCache::budget_for(self.views, scale).min(self.budget - self.budget / 8);
+        self.whole.set_budget(self.budget - wanted);
+        self.small = Some((self.whole.reduced(scale, wanted), scale));
     }
 
-    /// Photograph for a step on view `view`; that of view `next` is decoded while this one is on the GPU.
-    pub(super) fn of_step(&self, view: usize, next: usize) -> Result<Arc<Photo>, CaptureError> {
-        let (views, cache) = match &self.small {
-            Some(small) => (small.views.as_slice(), &small.cache),
-            None => (self.views, &self.cache),
-        };
-        cache.prefetch(&views[next]);
-        cache.get(&views[view])
+    /// Cache of the pictures of steps.
+    fn of_steps(&self) -> &PhotoCache {
+        self.small.as_ref().map_or(&self.whole, |(small, _)| small)
+    }
+
+    /// Photograph of a view for a step.
+    pub(super) fn of_step(&self, view: usize) -> Result<Arc<Photo>, CaptureError> {
+        self.of_steps().get(&self.views[view])
+    }
+
+    /// Width and height of the photograph of a view in steps.
+    pub(super) fn size_in_steps(&self, view: usize) -> (u32, u32) {
+        self.of_steps().size_of(&self.views[view])
+    }
+
+    /// Starts decoding photographs of the views of steps to come, the next first, on other threads, as far as there is
+    /// room. Each should then be asked for.
+    pub(super) fn prefetch(&self, next: impl Iterator<Item = usize>) {
+        self.of_steps().prefetch(next.map(|view| &self.views[view]));
+    }
+
+    /// Meaning of the alpha of a training view's photograph, of any size, as in its evaluation.
+    pub(super) fn alpha(&self, view: usize) -> TruthAlpha {
+        self.alphas[view]
     }
 }
 
-/// Meaning of a photograph's alpha, as in its evaluation.
-pub(super) fn truth_alpha(photo: &Photo) -> TruthAlpha {
+fn truth_alpha(photo: &Photo) -> TruthAlpha {
     match (photo.masked, photo.has_alpha) {
         (true, _) => TruthAlpha::Mask,
         (false, true) => TruthAlpha::Composite,
@@ -117,32 +131,43 @@ mod tests {
     use crate::capture::{self, Downscale, LoadOptions};
 
     /// While steps use smaller pictures, all of these are cached; once steps use whole pictures, these are cached
-    /// again.
+    /// again. Pictures are the same with any budget.
     #[test]
     fn what_steps_want_is_kept() {
         let demo = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
         let options = LoadOptions { downscale: Downscale::MaxSide(64), ..LoadOptions::default() };
         let capture = capture::open(&demo, &options).unwrap();
         let all: Vec<usize> = (0..capture.views.len()).collect();
-        let whole = PhotoCache::budget_for(&capture.views);
+        let whole = PhotoCache::budget_for(&capture.views, 1.0);
         let bytes = |cache: &PhotoCache| {
             let photos = capture.views.iter().map(|view| cache.get(view).unwrap());
             photos.map(|photo| photo.rgba.len()).sum::<usize>()
         };
+        let cache = PhotoCache::new(whole);
+        let expected = [0.25, 0.5].map(|scale| {
+            let of = |view| cache.reduced(scale, 0).get(view).unwrap();
+            (scale, capture.views.iter().map(of).collect::<Vec<_>>())
+        });
         // A budget for all pictures of both sizes, for all of one size, and for a part.
         for budget in [2 * whole, whole, whole / 2] {
             let mut photos = Photographs::within(budget, &capture, &all, std::iter::empty()).unwrap();
-            let is_full = photos.cache.bytes();
-            for scale in [0.25, 0.5] {
-                photos.resize(scale);
-                let small = photos.small.as_ref().unwrap();
-                let total: usize = all.iter().map(|&i| photos.of_step(i, i).unwrap().rgba.len()).sum();
-                assert_eq!(small.cache.bytes(), total, "{budget} {scale}");
-                assert!(total + photos.cache.bytes() <= budget, "{budget} {scale}: {}", photos.cache.bytes());
+            let is_full = photos.whole.bytes();
+            for (scale, expected) in &expected {
+                photos.resize(*scale);
+                let mut total = 0;
+                for &i in &all {
+                    let photo = photos.of_step(i).unwrap();
+                    photos.prefetch(all[i + 1..].iter().copied());
+                    assert!(photo == expected[i] && photos.size_in_steps(i) == (photo.width, photo.height));
+                    total += photo.rgba.len();
+                }
+                assert_eq!(photos.of_steps().bytes(), total, "{budget} {scale}");
+                assert!(total + photos.whole.bytes() <= budget, "{budget} {scale}: {}", photos.whole.bytes());
             }
             photos.resize(1.0);
-            assert_eq!(PhotoCache::budget_for(&capture.views), bytes(&photos.cache).div_ceil(7) + bytes(&photos.cache));
-            assert!(photos.small.is_none() && photos.cache.bytes() >= is_full, "{budget}");
+            let whole_bytes = bytes(&photos.whole);
+            assert_eq!(whole, whole_bytes.div_ceil(7) + whole_bytes);
+            assert!(photos.small.is_none() && photos.whole.bytes() >= is_full, "{budget}");
         }
     }
 }

@@ -1,10 +1,9 @@
 //! Plan of each phase of a run: its schedule, and what each of its steps trains on and how.
 
-use rand::{RngExt, seq::SliceRandom};
+use rand::RngExt;
 
-use super::{Phase, photographs::truth_alpha, setup::Setup};
+use super::{Phase, order::ViewOrder, setup::Setup};
 use crate::{
-    capture::Photo,
     optimize::{
         Background, Density, TrainOptions,
         density::mcmc,
@@ -13,7 +12,8 @@ use crate::{
         schedule::{self, Schedule},
     },
     render::gpu::{
-        adam::AdamStep, exposure::ExposureStep, pose::PoseStep, texels::TexelStep, training::Step, view::Dropout,
+        adam::AdamStep, exposure::ExposureStep, loss::TruthAlpha, photographs::Truth, pose::PoseStep,
+        texels::TexelStep, training::Step, view::Dropout,
     },
     scene::{Camera, sh},
 };
@@ -21,6 +21,10 @@ use crate::{
 /// Divisor of the learning rate for higher bands of the maps relative to the zeroth, as with those of splats, where it
 /// is 20 (INRIA 3DGS): a texel is seen by few views, and all of them would otherwise be explained by its bands.
 const BAND_RATE_DIVISOR: f32 = 5.0;
+
+/// Iterations whose photographs are decoded ahead of time, at most: enough to find some that are neither in memory nor
+/// on the adapter where most are.
+const LOOKS_AHEAD: u32 = 64;
 
 /// Contents and schedule of one phase.
 pub(super) struct Plan {
@@ -31,6 +35,7 @@ pub(super) struct Plan {
     /// Iterations of the splats before this phase.
     pub(super) clock: u32,
     pub(super) schedule: Schedule,
+    pub(super) order: ViewOrder,
     pub(super) resolution: ResolutionSchedule,
     pub(super) has_mesh: bool,
     pub(super) moves_vertices: bool,
@@ -70,18 +75,23 @@ impl Plan {
         let resolution = ResolutionSchedule { full_from };
         // The user's mesh stays where it is.
         let moves_vertices = has_mesh && finds_surface;
-        Self { phase, from, iterations, clock, schedule, resolution, has_mesh, moves_vertices }
+        let order = ViewOrder::of(setup, phase);
+        Self { phase, from, iterations, clock, schedule, order, resolution, has_mesh, moves_vertices }
     }
 
-    /// View of iteration `t`: every epoch is a permutation of the training views.
-    pub(super) fn view_at(&self, setup: &Setup, t: u32) -> usize {
-        let mut order = if self.phase == Phase::Warmup { setup.warming_views() } else { setup.train.clone() };
-        let (n, age) = (order.len() as u32, self.clock + t);
-        order.shuffle(&mut random::generator(setup.options.seed, Purpose::ViewOrder(self.phase), age / n));
-        order[(age % n) as usize]
+    /// View of iteration `t`.
+    pub(super) fn view_at(&self, t: u32) -> usize {
+        self.order.at(self.clock + t)
     }
 
-    /// What iteration `t` trains on and how, with so many splats and this photograph of a view.
+    /// Views of the phase's iterations after `t`, the next first, as far as it is worth looking ahead.
+    pub(super) fn views_after(&self, t: u32) -> impl Iterator<Item = usize> {
+        let last = t.saturating_add(LOOKS_AHEAD.min(self.order.len())).min(self.iterations.saturating_sub(1));
+        (t..last).map(move |t| self.view_at(t + 1))
+    }
+
+    /// What iteration `t` trains on and how, with so many splats, and this photograph of a view and meaning of its
+    /// alpha.
     pub(super) fn step_on<'s>(
         &self,
         setup: &Setup,
@@ -89,7 +99,7 @@ impl Plan {
         n_splats: u32,
         view: usize,
         camera: &'s Camera,
-        photo: &'s Photo,
+        (truth, truth_alpha): (Truth<'s>, TruthAlpha),
     ) -> Step<'s> {
         let o = setup.options;
         let age = self.clock + t;
@@ -103,9 +113,8 @@ impl Plan {
         let vertex_step = || schedule::vertex_step(t, self.iterations, setup.scales.longest_side);
         Step {
             camera,
-            truth: &photo.rgba,
-            kept_as: Some(view),
-            truth_alpha: truth_alpha(photo),
+            truth,
+            truth_alpha,
             background,
             sh_degree: self.schedule.sh_degree(age, o.sh_degree),
             band_degree: if self.phase == Phase::Joint { sh::MAX_DEGREE } else { self.schedule.sh_degree(t, 3) },

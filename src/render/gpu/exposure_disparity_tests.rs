@@ -6,6 +6,7 @@ use super::{
     exposure::{ExposureState, ExposureStep, FLOATS},
     geometry::GEOMETRY_FLOATS,
     loss::TruthAlpha,
+    photographs::Truth,
     training::{Show, Step, Training},
     view::Dropout,
 };
@@ -36,8 +37,7 @@ fn first_moments(training: &mut Training, camera: &Camera, truth: &[u8], dispari
     };
     let step = Step {
         camera,
-        truth,
-        kept_as: None,
+        truth: Truth::Sent { rgba: truth, number: None },
         truth_alpha: TruthAlpha::Ignore,
         background: [0.0; 3],
         sh_degree: sh::MAX_DEGREE,

@@ -7,6 +7,7 @@ use super::{
     adam::{AdamStep, SplatRates},
     exposure::{ExposureState, ExposureStep, FLOATS},
     loss::{LossValues, TruthAlpha, tests::defined},
+    photographs::Truth,
     training::{Show, Step, Training},
     view::Dropout,
 };
@@ -82,8 +83,7 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
     training
         .step(&Step {
             camera: &camera(),
-            truth,
-            kept_as: None,
+            truth: Truth::Sent { rgba: truth, number: None },
             truth_alpha,
             background: BACKGROUND,
             sh_degree: 0,

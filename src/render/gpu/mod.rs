@@ -26,7 +26,7 @@ mod mesh;
 #[cfg(test)]
 mod mesh_tests;
 pub(crate) mod per_view;
-mod photographs;
+pub(crate) mod photographs;
 mod picture;
 mod pipeline;
 pub(crate) mod pose;

@@ -1,9 +1,18 @@
 //! Photographs on the adapter: the one that a step compares its picture with, and those that are kept to avoid
 //! uploading them in every epoch.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, sync::Arc};
 
 use super::device::{Buffer, Frame, Gpu, GpuError};
+
+/// The photograph that a step compares its picture with.
+pub(crate) enum Truth<'a> {
+    /// Sent to the adapter: RGBA8, `[h·w·4]`, and the number under which it stays there if there is room. One number
+    /// and size must always mean the same photograph.
+    Sent { rgba: &'a [u8], number: Option<usize> },
+    /// Kept on the adapter, see [`UploadedPhotographs::kept`].
+    Kept(Arc<Buffer>),
+}
 
 /// Photographs on the adapter in RGBA8.
 pub(crate) struct UploadedPhotographs {
@@ -16,7 +25,7 @@ pub(crate) struct UploadedPhotographs {
 #[derive(Default)]
 struct Kept {
     /// Bytes and buffer of each photograph, by number.
-    photographs: HashMap<usize, (u64, Buffer)>,
+    photographs: HashMap<usize, (u64, Arc<Buffer>)>,
     /// Bytes still available for more.
     room: u64,
 }
@@ -35,11 +44,20 @@ impl UploadedPhotographs {
         self.kept = Kept { photographs: HashMap::new(), room: bytes };
     }
 
-    /// Sets the photograph for the rest of the frame. The same `number` and size must always mean the same photograph.
-    pub(crate) fn show(&mut self, gpu: &Gpu, frame: &mut Frame, rgba: &[u8], number: Option<usize>) {
-        match number.and_then(|number| self.kept.get(gpu, rgba, number)) {
-            Some(kept) => frame.copy(kept, &self.shown),
-            None => gpu.write(&self.shown, 0, rgba),
+    /// The photograph of this number, if it is kept and has this many bytes.
+    pub(crate) fn kept(&self, number: usize, bytes: u64) -> Option<Arc<Buffer>> {
+        let (of, kept) = self.kept.photographs.get(&number)?;
+        (*of == bytes).then(|| Arc::clone(kept))
+    }
+
+    /// Sets the photograph for the rest of the frame.
+    pub(crate) fn show(&mut self, gpu: &Gpu, frame: &mut Frame, truth: &Truth) {
+        match *truth {
+            Truth::Kept(ref kept) => frame.copy(kept, &self.shown),
+            Truth::Sent { rgba, number } => match number.and_then(|number| self.kept.get(gpu, rgba, number)) {
+                Some(kept) => frame.copy(kept, &self.shown),
+                None => gpu.write(&self.shown, 0, rgba),
+            },
         }
     }
 }
@@ -62,9 +80,9 @@ impl Kept {
             };
             gpu.write(&buffer, 0, rgba);
             self.room = left;
-            self.photographs.insert(number, (bytes, buffer));
+            self.photographs.insert(number, (bytes, Arc::new(buffer)));
         }
-        self.photographs.get(&number).map(|(_, buffer)| buffer)
+        self.photographs.get(&number).map(|(_, buffer)| buffer.as_ref())
     }
 }
 
@@ -78,7 +96,7 @@ mod tests {
         let mut photographs = UploadedPhotographs::new(&gpu, 16).unwrap();
         let show = |photographs: &mut UploadedPhotographs, value: u8, bytes: usize, number: Option<usize>| {
             let mut frame = Frame::new(&gpu);
-            photographs.show(&gpu, &mut frame, &vec![value; bytes], number);
+            photographs.show(&gpu, &mut frame, &Truth::Sent { rgba: &vec![value; bytes], number });
             frame.submit();
             let shown: Vec<u8> = gpu.read(&photographs.shown, 64).unwrap();
             assert!(shown[..bytes].iter().all(|v| *v == shown[0]));
@@ -91,6 +109,13 @@ mod tests {
         // photograph, and photographs without a number are not kept.
         let shown = [(3, Some(0)), (4, Some(1)), (5, Some(0)), (6, Some(1)), (7, Some(2)), (8, Some(2)), (9, None)];
         assert_eq!(shown.map(|(v, n)| show(&mut photographs, v, 64, n)), [3, 4, 3, 4, 7, 8, 9]);
+        let kept =
+            [(0, 64), (1, 64), (2, 64), (0, 16)].map(|(number, bytes)| photographs.kept(number, bytes).is_some());
+        assert_eq!(kept, [true, true, false, false]);
+        let (mut frame, kept) = (Frame::new(&gpu), photographs.kept(1, 64).unwrap());
+        photographs.show(&gpu, &mut frame, &Truth::Kept(kept));
+        frame.submit();
+        assert_eq!(gpu.read::<u8>(&photographs.shown, 64).unwrap(), [4; 64]);
         // A photograph of another size replaces the previous one with its number, and the space freed can hold others.
         let shown = [(10, 16, 1), (11, 16, 1), (12, 64, 2), (13, 64, 2), (14, 64, 1), (15, 64, 1)];
         assert_eq!(shown.map(|(v, bytes, n)| show(&mut photographs, v, bytes, Some(n))), [10, 10, 12, 12, 14, 15]);

@@ -8,6 +8,7 @@ use super::{
     Gpu,
     adam::{AdamStep, SplatRates},
     loss::TruthAlpha,
+    photographs::Truth,
     pose::{FLOATS, PoseState, PoseStep},
     training::{Step, Training, TrainingOptions},
     view::Dropout,
@@ -60,8 +61,7 @@ fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<P
     training
         .step(&Step {
             camera,
-            truth: &truth(camera),
-            kept_as: None,
+            truth: Truth::Sent { rgba: &truth(camera), number: None },
             truth_alpha: TruthAlpha::Ignore,
             background: [0.3, 0.2, 0.1],
             sh_degree,

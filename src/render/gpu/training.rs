@@ -3,6 +3,8 @@
 mod pictures;
 mod splats;
 
+use std::sync::Arc;
+
 use super::{
     adam::{AdamBuffers, AdamStep, SplatAdam, SplatFloats},
     backward::Backward,
@@ -13,7 +15,7 @@ use super::{
     loss::{Loss, LossBuffers, LossValues, TruthAlpha},
     memory::with_headroom,
     mesh::MeshStage,
-    photographs::UploadedPhotographs,
+    photographs::{Truth, UploadedPhotographs},
     pipeline::Pipeline,
     pose::{PoseState, PoseStep, Poses},
     rows::RowGather,
@@ -47,11 +49,8 @@ impl Default for TrainingOptions {
 /// Inputs and options of one training step.
 pub(crate) struct Step<'a> {
     pub(crate) camera: &'a Camera,
-    /// Photograph, RGBA8, `[h·w·4]`.
-    pub(crate) truth: &'a [u8],
-    /// Number under which [`Training::keep_photographs`] keeps the photograph; one number and size must always mean the
-    /// same photograph.
-    pub(crate) kept_as: Option<usize>,
+    /// Photograph, of the camera's size.
+    pub(crate) truth: Truth<'a>,
     /// Meaning of the photograph's alpha.
     pub(crate) truth_alpha: TruthAlpha,
     pub(crate) background: [f32; 3],
@@ -211,7 +210,7 @@ impl<'g> Training<'g> {
             Some(timer) => Frame::timed(self.gpu, timer),
             None => Frame::new(self.gpu),
         };
-        self.photographs.show(self.gpu, &mut frame, step.truth, step.kept_as);
+        self.photographs.show(self.gpu, &mut frame, &step.truth);
         let pose = self.poses.as_mut().zip(step.pose).map(|(poses, step)| {
             poses.record_correction(self.gpu, &mut frame, &step);
             poses
@@ -251,6 +250,11 @@ impl<'g> Training<'g> {
     /// host's.
     pub(crate) fn keep_photographs(&mut self, bytes: u64) {
         self.photographs.keep(if self.gpu.shares_host_memory() { 0 } else { bytes });
+    }
+
+    /// The photograph of this number, width and height, if it is kept on the adapter.
+    pub(crate) fn kept_photograph(&self, number: usize, (width, height): (u32, u32)) -> Option<Arc<Buffer>> {
+        self.photographs.kept(number, 4 * u64::from(width) * u64::from(height))
     }
 
     /// Enables exposures of photographs, optimised by `Step::exposure`, or replaces them by others of as many views.

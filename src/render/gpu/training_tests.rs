@@ -8,6 +8,7 @@ use super::{
     exposure::{ExposureState, ExposureStep},
     geometry::{GEOMETRY_FLOATS, OPACITY},
     loss::TruthAlpha,
+    photographs::Truth,
     pose::{PoseState, PoseStep},
     rows::Source,
     state::{SplatState, logit, sigmoid},
@@ -86,8 +87,7 @@ fn usual<'a>(training: &Training, camera: &'a Camera, truth: &'a [u8]) -> Step<'
     let texels = TexelStep { number: 1, base_rate: 0.01, band_rate: 0.01, visited_only: false, holds_opacity: false };
     Step {
         camera,
-        truth,
-        kept_as: None,
+        truth: Truth::Sent { rgba: truth, number: None },
         truth_alpha: TruthAlpha::Ignore,
         background: [0.0; 3],
         sh_degree,
@@ -267,7 +267,7 @@ fn steps_in_parts_learn_the_same() {
     assert!(parts.3 > whole.3, "{} passes, {} in parts", whole.3, parts.3);
 }
 
-/// Two of three photographs stay on the adapter.
+/// Two of three photographs stay on the adapter, and are not sent again.
 #[test]
 fn photographs_that_stay_teach_what_those_teach_that_are_sent() {
     let (scene, camera) = testing::smooth_scene(1, 1, OrderMode::Stable);
@@ -277,10 +277,21 @@ fn photographs_that_stay_teach_what_those_teach_that_are_sent() {
     let learnt = |kept: u64| {
         let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
         training.keep_photographs(kept);
+        let k = camera.intrinsics();
+        let mut sent = vec![];
         for number in [0, 1, 2, 2, 0, 1] {
-            let step = Step { kept_as: Some(number), ..usual(&training, &camera, &photographs[number]) };
+            let rgba = &photographs[number];
+            let truth = training.kept_photograph(number, (k.width, k.height)).map_or_else(
+                || {
+                    sent.push(number);
+                    Truth::Sent { rgba, number: Some(number) }
+                },
+                Truth::Kept,
+            );
+            let step = Step { truth, ..usual(&training, &camera, rgba) };
             training.step(&step).unwrap();
         }
+        assert_eq!(sent, if kept == 0 { vec![0, 1, 2, 2, 0, 1] } else { vec![0, 1, 2, 2] });
         assert_eq!(training.status().unwrap().skipped, 0);
         training.read_splats().unwrap().geometry
     };

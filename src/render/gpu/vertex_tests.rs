@@ -5,6 +5,7 @@ use glam::{DVec3, Vec2, Vec3};
 use super::{
     Gpu,
     loss::TruthAlpha,
+    photographs::Truth,
     training::{Show, Step, Training},
     vertices::{VertexState, VertexStep},
     view::Dropout,
@@ -57,8 +58,7 @@ fn sheet(z: impl Fn(f32, f32) -> f32) -> HybridScene {
 fn of_vertices<'a>(camera: &'a Camera, truth: &'a [u8], vertices: Option<VertexStep>) -> Step<'a> {
     Step {
         camera,
-        truth,
-        kept_as: None,
+        truth: Truth::Sent { rgba: truth, number: None },
         truth_alpha: TruthAlpha::Ignore,
         background: [0.0; 3],
         sh_degree: 0,

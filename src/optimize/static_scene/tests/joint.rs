@@ -1,6 +1,6 @@
 //! Joint training of splats and maps, and the file that results.
 
-use super::{plan::Plan, *};
+use super::{order::ViewOrder, plan::Plan, *};
 use crate::{
     format::{gltf, read_scene},
     optimize::{resolution::ResolutionSchedule, schedule::Schedule},
@@ -56,6 +56,7 @@ fn after_an_opacity_reset_the_mesh_learns_colours_only() {
             iterations: 1000,
             clock: 0,
             schedule,
+            order: ViewOrder::of(&run.setup, Phase::Joint),
             resolution: ResolutionSchedule { full_from: 0 },
             has_mesh: true,
             moves_vertices: false,

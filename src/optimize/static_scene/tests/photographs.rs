@@ -6,8 +6,13 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::*;
-use crate::{capture::View, geometry, optimize::seen_points, stats};
+use super::{plan::Plan, *};
+use crate::{
+    capture::View,
+    geometry,
+    optimize::{seen_points, static_scene::photographs::Photographs},
+    stats,
+};
 
 /// The demo with its photographs changed by `change`, which gets their index in the order of names.
 fn changed(folder: &Path, change: impl Fn(usize, &mut image::RgbaImage)) -> Capture {
@@ -82,6 +87,29 @@ fn photographs_with_alpha_are_cut_out_whatever_the_lens() {
         let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
         let run = Run::new(&capture, &options, &MeshSource::Splats, session).unwrap();
         assert_eq!([run.views.photos.are_cut_out, run.setup.shell.is_none()], [is_cut_out; 2], "{k1} {opacity}");
+    }
+}
+
+/// Neither for a step nor ahead of one.
+#[test]
+fn photographs_that_the_adapter_keeps_are_not_decoded_again() {
+    let (gpu, folder) = (Gpu::open(None).unwrap().posing_as_gpu(), tempfile::tempdir().unwrap());
+    let capture = in_a_row(folder.path(), 0.0, |x| image::Rgba([x as u8, 80, 90, 255]));
+    let (options, stop) = (options(), AtomicBool::new(false));
+    let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
+    let mut run = Run::new(&capture, &options, &MeshSource::None, session).unwrap();
+    run.views.photos = Photographs::within(0, &capture, &run.setup.train, std::iter::empty()).unwrap();
+    let splats = start::splats(&run.setup, &run.views, &[], true).unwrap();
+    let scene = HybridScene { splats, meshes: vec![], composition: run.setup.composition() };
+    let mut training = run.training(&scene).unwrap();
+    // Two of three.
+    training.keep_photographs(2 * 4 * 32 * 32);
+    let plan = Plan::of(&run.setup, Phase::Joint, 0, false);
+    (0..3).for_each(|t| run.step(&mut training, &plan, t).unwrap());
+    capture.views.iter().for_each(|view| std::fs::remove_file(view.source.path()).unwrap());
+    for t in 3..9 {
+        let is_kept = [0, 1].map(|t| plan.view_at(t)).contains(&plan.view_at(t));
+        assert_eq!(run.step(&mut training, &plan, t).is_ok(), is_kept, "{t}");
     }
 }
 
