@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::edits::{EditArgs, Edited, Step};
 use super::output::counted;
 use super::shared::{self, AnimationArgs, MessageArgs};
-use super::{output, usage};
+use super::{output, shell, usage};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -151,7 +151,7 @@ impl Args {
         let format = format_of(output).map_err(|e| usage::wrong(format!("{}: {e}", output.display())))?;
         // Shells may expand `*.ply` so that the last file is an input, which would be overwritten.
         let is_new = self.output.is_some() || inputs.len() == 1 || !output.is_file();
-        ensure!(is_new, "{}: exists already: -o {} replaces it", output.display(), output.display());
+        ensure!(is_new, "{}: exists already: -o {} replaces it", output.display(), shell::argument(output));
         Ok(Files { inputs, output, format })
     }
 }
@@ -246,7 +246,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         input.notes.iter().for_each(|note| output::note(&format!("{}: {note}", input.file.display())));
     }
     report.notes.iter().for_each(|note| output::note(&format!("{}: {note}", files.output.display())));
-    output::print(&described(&outcome))
+    output::print_lines(described(&outcome))
 }
 
 /// Reads all inputs as one scene in the capture's frame, with notes.
@@ -431,7 +431,7 @@ fn write(args: &Args, Files { inputs, output, format }: Files<'_>, edited: &Edit
     Ok(report)
 }
 
-fn described(o: &Outcome<'_>) -> String {
+fn described(o: &Outcome<'_>) -> Vec<String> {
     let mut lines = vec![];
     for input in o.inputs {
         if input.dropped > 0 {
@@ -462,7 +462,7 @@ fn described(o: &Outcome<'_>) -> String {
     if !o.beside.is_empty() {
         lines.push(format!("beside it: {}", o.beside.join(", ")));
     }
-    lines.join("\n")
+    lines
 }
 
 #[cfg(test)]

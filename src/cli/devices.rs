@@ -29,22 +29,20 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.json {
         return output::print_json(&adapters);
     }
-    output::print(&adapters.iter().map(describe).collect::<Vec<_>>().join("\n"))
+    output::print_lines(adapters.iter().flat_map(describe))
 }
 
 /// Description in three lines: how to request the adapter, then what determines speed and capacity.
-fn describe(a: &AdapterSummary) -> String {
+fn describe(a: &AdapterSummary) -> [String; 3] {
     let subgroups = match a.subgroup_size {
         (_, 0) => "no subgroups".to_owned(),
         (low, high) if low == high => format!("subgroups of {low}"),
         (low, high) => format!("subgroups of {low} to {high}"),
     };
-    format!(
-        "{a}\n  {} {}, {}\n  buffers up to {} MiB, {subgroups}, {}",
-        a.backend,
-        a.kind,
-        a.driver,
-        a.max_binding_bytes >> 20,
-        if a.timestamps { "timestamps" } else { "no timestamps" },
-    )
+    let timestamps = if a.timestamps { "timestamps" } else { "no timestamps" };
+    [
+        a.to_string(),
+        format!("  {} {}, {}", a.backend, a.kind, a.driver),
+        format!("  buffers up to {} MiB, {subgroups}, {timestamps}", a.max_binding_bytes >> 20),
+    ]
 }

@@ -138,7 +138,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json {
         output::print_json(&Noted { evaluation: &evaluation, notes: &notes })
     } else {
-        output::print(evaluation.to_string().trim_end())
+        output::print_lines(evaluation.to_string().trim_end().split('\n'))
     }
 }
 

@@ -28,5 +28,9 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let summary = format::inspect(&args.file)?;
-    if args.json { output::print_json(&summary) } else { output::print(summary.to_string().trim_end()) }
+    if args.json {
+        output::print_json(&summary)
+    } else {
+        output::print_lines(summary.to_string().trim_end().split('\n'))
+    }
 }

@@ -183,20 +183,17 @@ impl Outcome {
                 100.0 * distance.counted,
             ))?;
         }
+        output::print_lines(made.in_words().split('\n'))?;
         output::print(&format!(
-            "{}\n\
-             {} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels\n\
-             wrote {}: {} triangles, {bytes} bytes",
-            made.in_words(),
+            "{} charts cover {:.0} % of the atlas, gutters of {} texels; a triangle has {:.0} % of its texels on average, {:.0} % at worst; views see {:.1} % of the texels",
             charts.charts,
             100.0 * charts.coverage,
             charts.gutter,
             100.0 * charts.mean_density,
             100.0 * charts.min_density,
             100.0 * seen,
-            args.output.display(),
-            made.steps.simplified,
-        ))
+        ))?;
+        output::print(&format!("wrote {}: {} triangles, {bytes} bytes", args.output.display(), made.steps.simplified))
     }
 }
 

@@ -17,6 +17,7 @@ mod output;
 mod progress;
 mod render;
 mod shared;
+mod shell;
 mod train;
 mod usage;
 mod validate;

@@ -17,11 +17,20 @@ pub(super) fn print_json(value: &impl serde::Serialize) -> Result<()> {
     write(format!("{}\n", without_codes(&serde_json::to_string(value)?)).as_bytes())
 }
 
-/// Prints `text` and a line end on stdout. Control characters are escaped in each line, because names of and in files
-/// may contain any character.
-pub(super) fn print(text: &str) -> Result<()> {
-    let lines: Vec<Cow<'_, str>> = text.split('\n').map(one_line).collect();
-    write(format!("{}\n", without_codes(&lines.join("\n"))).as_bytes())
+/// Prints a line on stdout. Control characters in it are escaped, line ends too, because names of and in files may
+/// contain any character.
+pub(super) fn print(line: &str) -> Result<()> {
+    print_lines([line])
+}
+
+/// Prints lines on stdout at once, each as by [`print`].
+pub(super) fn print_lines(lines: impl IntoIterator<Item = impl AsRef<str>>) -> Result<()> {
+    let mut text = String::new();
+    for line in lines {
+        text.push_str(&without_codes(&one_line(line.as_ref())));
+        text.push('\n');
+    }
+    write(text.as_bytes())
 }
 
 /// Writes `bytes` to stdout.

@@ -421,7 +421,7 @@ fn print(pictures: &[PathBuf], notes: &[&String], shot: &CameraFile, args: &Args
     }
     say(notes, shot, args);
     leftover(pictures).iter().for_each(|note| output::note(&format!("{}: {note}", args.output.display())));
-    output::print(&lines.join("\n"))
+    output::print_lines(lines)
 }
 
 /// Prints notes on the scene and on its cameras.

@@ -110,7 +110,7 @@ fn train(
     aside: Option<Aside>,
 ) -> Result<Trained> {
     let checkpoint = args.checkpoint();
-    let mut reporter = Reporter::new(&args.messages);
+    let mut reporter = Reporter::new(&args.messages, options.phases(&mesh));
     let session = Session {
         gpu,
         checkpoints: if args.resume {
@@ -240,7 +240,7 @@ fn print_json(
 }
 
 fn print(args: &Args, trained: &Trained, evaluation: Option<&Evaluation>) -> Result<()> {
-    evaluation.map_or(Ok(()), |e| output::print(&format!("{e}")))?;
+    evaluation.map_or(Ok(()), |e| output::print_lines(e.to_string().split('\n')))?;
     notes::moved(trained).map_or(Ok(()), |moved| output::print(&format!("poses: {moved}")))?;
     notes::at_the_end(args, trained).iter().for_each(|note| output::note(note));
     output::print(&format!("wrote {}", args.output.display()))

@@ -27,7 +27,11 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let validation = format::validate(&args.file)?;
-    let printed = if args.json { output::print_json(&validation) } else { output::print(&validation.to_string()) };
+    let printed = if args.json {
+        output::print_json(&validation)
+    } else {
+        output::print_lines(validation.to_string().split('\n'))
+    };
     // Also if nobody reads the output to its end.
     if validation.errors > 0 {
         bail!("{}: {} error(s)", args.file.display(), validation.errors);

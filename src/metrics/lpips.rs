@@ -270,6 +270,17 @@ struct Weights<R> {
     start: u64,
 }
 
+/// What a file is that begins like none of weights.
+fn content(start: &[u8]) -> &'static str {
+    match start {
+        [] => "an empty file",
+        [b'g', b'l', b'T', b'F', ..] => "glTF",
+        [b'p', b'l', b'y', ..] => "PLY",
+        [b'P', b'K', 3, 4, ..] | [0x80, 2, ..] => "a zip or a pickle, as PyTorch writes .pth",
+        _ => "other content",
+    }
+}
+
 #[derive(Deserialize)]
 struct Stored {
     dtype: String,
@@ -280,15 +291,16 @@ struct Stored {
 impl<R: Read + Seek> Weights<R> {
     fn new(mut source: R) -> Result<Self, SceneError> {
         let fault = |found: String| SceneError::new("header", "a safetensors file", found);
-        let mut length = [0; 8];
-        source.read_exact(&mut length).map_err(|e| fault(e.to_string()))?;
-        let length = u64::from_le_bytes(length);
-        if length > HEADER {
-            return Err(fault(format!("a header of {length} bytes")));
-        }
+        let mut start = vec![];
+        source.by_ref().take(8).read_to_end(&mut start).map_err(|e| fault(e.to_string()))?;
+        let other = || fault(content(&start).to_owned());
+        let length = start.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
+        let length = length.filter(|length| *length <= HEADER).ok_or_else(other)?;
         let mut text = vec![];
         source.by_ref().take(length).read_to_end(&mut text).map_err(|e| fault(e.to_string()))?;
-        let header = serde_json::from_slice(&text).map_err(|e| fault(e.to_string()))?;
+        // The first bytes of another file may happen to be such a length.
+        let header = serde_json::from_slice(&text)
+            .map_err(|e| if text.starts_with(b"{") { fault(e.to_string()) } else { other() })?;
         Ok(Self { source, header, start: 8 + length })
     }
 
@@ -537,10 +549,23 @@ mod tests {
         tensors[1].1.1[4..8].copy_from_slice(&f32::NAN.to_le_bytes());
         assert_eq!(opened(&tensors).err().unwrap(), "F: conv1.bias: expected finite numbers, found NaN at 1");
         let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), b"no weights").unwrap();
-        let error = Lpips::open(file.path()).err().unwrap();
-        assert!(error.to_string().contains("header: expected a safetensors file"));
-        assert!(std::error::Error::source(&error).is_none(), "a cause that the message quotes");
+        for (bytes, found) in [
+            (&b""[..], "an empty file"),
+            (b"glTF\x02\0\0\0\x2a\0\0\0", "glTF"),
+            (b"ply\nformat ascii 1.0", "PLY"),
+            (b"PK\x03\x04\0\0\0\0", "a zip or a pickle, as PyTorch writes .pth"),
+            (b"\x80\x02\x8a\nl\xfc\x9cF", "a zip or a pickle, as PyTorch writes .pth"),
+            (b"short", "other content"),
+            (b"no weights", "other content"),
+            (b"\x02\0\0\0\0\0\0\0no weights", "other content"),
+            (b"\x02\0\0\0\0\0\0\0{", "EOF while parsing an object at line 1 column 1"),
+        ] {
+            std::fs::write(file.path(), bytes).unwrap();
+            let error = Lpips::open(file.path()).err().unwrap();
+            let expected = format!(": header: expected a safetensors file, found {found}");
+            assert!(error.to_string().ends_with(&expected), "{error}");
+            assert!(std::error::Error::source(&error).is_none(), "a cause that the message quotes");
+        }
     }
 
     /// A header can contain anything.

@@ -1,5 +1,6 @@
 //! Options of a training run, with defaults and their sources.
 
+use super::MeshSource;
 use crate::capture::Split;
 use crate::scene::{Composition, OrderMode, SceneError, Splats, sh};
 
@@ -219,6 +220,18 @@ impl TrainOptions {
         self.surface_iterations.unwrap_or(usual).min(self.iterations)
     }
 
+    /// Phases of a run with a mesh from this source, in their order, each with its iterations. The warm-up is left
+    /// out if no surface can be made.
+    #[must_use]
+    pub fn phases(&self, mesh: &MeshSource) -> Vec<(Phase, u32)> {
+        let phases = match mesh {
+            MeshSource::None => &[Phase::Joint][..],
+            MeshSource::Given { .. } => &[Phase::Warmup, Phase::Joint],
+            MeshSource::Splats | MeshSource::Points => &[Phase::Surface, Phase::Warmup, Phase::Joint],
+        };
+        phases.iter().map(|&phase| (phase, self.iterations_of(phase, mesh.is_found()))).collect()
+    }
+
     /// Iterations of a phase, in a run that makes its surface itself (`finds_surface`) or does not.
     pub(super) fn iterations_of(&self, phase: Phase, finds_surface: bool) -> u32 {
         match phase {
@@ -275,6 +288,7 @@ impl Default for TrainOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Surface;
 
     #[test]
     fn what_is_outside_of_its_range_is_named() {
@@ -315,6 +329,19 @@ mod tests {
             assert_eq!(half.surface_phase_iterations(), half.iterations / 2);
         }
         assert_eq!([before(100, Some(70)), before(100, Some(700))], [70, 100]);
+    }
+
+    #[test]
+    fn phases_are_those_that_a_mesh_needs() {
+        let options = TrainOptions { iterations: 1400, warmup: 90, ..TrainOptions::default() };
+        let surface = Surface { positions: vec![], triangles: vec![] };
+        let given = MeshSource::Given { surface, corner_uvs: None };
+        assert_eq!(options.phases(&MeshSource::None), [(Phase::Joint, 1400)]);
+        assert_eq!(options.phases(&given), [(Phase::Warmup, 90), (Phase::Joint, 1400)]);
+        for found in [MeshSource::Splats, MeshSource::Points] {
+            let expected = [(Phase::Surface, 400), (Phase::Warmup, 90), (Phase::Joint, 1000)];
+            assert_eq!(options.phases(&found), expected);
+        }
     }
 
     #[test]

@@ -357,8 +357,8 @@ fn captures_that_name_no_points_start_from_random_splats_and_say_so() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let note = "capture: has no points: splats begin at random places that its cameras look at";
     // The world is that of OpenGL.
-    let lies = "capture: was taken with +y up: glTF viewers, which have +y up, will show the scene upside down; centaur convert scene.glb OUT.glb \
-                --axes y-up:y-down sets it upright";
+    let lies = "capture: was taken with +y up: glTF viewers, which have +y up, will show the scene upside down; to set it upright: \
+                centaur convert scene.glb OUT.glb --axes y-up:y-down";
     assert_eq!(stderr(&output), format!("note: {note}\nnote: {lies}\n"));
     let output = train(folder.path(), ["--no-mesh", "--max-splats", "500", "--json"]).output().unwrap();
     let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -71,11 +71,14 @@ fn a_data_set_is_trained_once_and_tabled() {
     let (table, _) = said(&rest);
     assert!(rest.status.success(), "{:?}", said(&rest));
     let idle = "--no-mesh: --surface-iterations, --triangles, --warmup, --texture-size have no effect";
-    let note = format!("\n- splats, one, two: {idle}\n");
+    let note = format!("\n- splats, all scenes: {idle}\n");
     for row in ["| hybrid | one | 1 |", "| hybrid | two | 1 |", "| **splats** | **mean** | 2 |", &note] {
         assert!(table.contains(row), "{table}");
     }
     assert!(said(&rest).1.contains(&format!("note: splats/one-0: {idle}\n")), "{:?}", said(&rest));
+    // The demo has z up, which matters to who looks at the scenes.
+    assert!(!table.contains(" up: ") && !said(&rest).1.contains(" up: "), "{:?}", said(&rest));
+    assert!(made("splats/one-0")["notes"].to_string().contains("was taken with +z up: "));
     assert_eq!(std::fs::read_to_string(at("out/table.md")).unwrap(), table);
     assert_eq!(at("out/splats/two-0.glb").metadata().unwrap().modified().unwrap(), written, "it was trained again");
     assert!(at("out/hybrid/one-0/report.html").is_file());

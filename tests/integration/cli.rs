@@ -305,5 +305,6 @@ fn names_cannot_move_the_cursor() {
         assert!(said(&["inspect", "b\u{1b}[2J.ply"]).starts_with(r"error: b\u{1b}[2J.ply: byte 0: expected "));
         assert!(said(&["validate", "a\u{1b}[2J.gltf"]).contains("\na\\u{1b}[2J.gltf: glTF, "));
         assert!(said(&["convert", "a\u{1b}[2J.gltf", "c\u{1b}[2J.usda"]).contains("\nc\\u{1b}[2J.usda: 0 splats"));
+        assert!(said(&["convert", "a.gltf", "c\r\n\td.glb"]).contains("\nc\\r\\n\\td.glb: 0 splats"));
     }
 }

@@ -277,6 +277,11 @@ fn several_inputs_become_one_scene() {
     // With a glob such as `*.glb` the last name is not meant as an output.
     let line = failure(folder.path(), "a.ply m.glb b.glb");
     assert_eq!(line, "error: b.glb: exists already: -o b.glb replaces it");
+    std::fs::copy(folder.path().join("b.glb"), folder.path().join("b c.glb")).unwrap();
+    let mut convert_all = common::centaur(folder.path());
+    let line = common::failure(folder.path(), convert_all.args(["convert", "a.ply", "m.glb", "b c.glb"]));
+    let quoted = if cfg!(windows) { "\"b c.glb\"" } else { "'b c.glb'" };
+    assert_eq!(line, format!("error: b c.glb: exists already: -o {quoted} replaces it"));
     // Of two names of one kind the second is written, and that is said.
     format::write_scene(&folder.path().join("old.glb"), &scene, &WriteOptions::default()).unwrap();
     let note = "note: old.glb: existed before and is replaced: the last file is the one to write\n";

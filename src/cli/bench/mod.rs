@@ -12,7 +12,6 @@ mod scenes;
 mod table;
 mod work;
 
-use std::ffi::OsStr;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
@@ -24,7 +23,7 @@ use self::protocol::Protocol;
 use self::record::Record;
 use self::work::Outcome;
 use super::shared::MessageArgs;
-use super::{interrupt, output};
+use super::{interrupt, output, shell};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -225,7 +224,11 @@ fn write_table(args: &Args, done: &[Record]) -> Result<table::Table> {
 }
 
 fn print_table(args: &Args, table: &table::Table) -> Result<()> {
-    if args.messages.json { output::print_json(table) } else { output::print(table.to_string().trim_end()) }
+    if args.messages.json {
+        output::print_json(table)
+    } else {
+        output::print_lines(table.to_string().trim_end().split('\n'))
+    }
 }
 
 /// Prints this command for a single job.
@@ -236,63 +239,8 @@ fn list(job: &Job, args: &Args) -> Result<()> {
         if !line.is_empty() {
             line.push(b' ');
         }
-        line.extend(quoted(&word, cfg!(windows)));
+        line.extend(shell::quoted(&word, cfg!(windows)));
     }
     line.push(b'\n');
     output::write(&line)
-}
-
-/// Quotes a word for a POSIX shell, or for those of Windows, where paths have backslashes and single quotes are letters
-/// to `cmd`.
-fn quoted(word: &OsStr, is_windows: bool) -> Vec<u8> {
-    let bytes = word.as_encoded_bytes();
-    // Between percent signs `cmd` reads the name of a variable.
-    let of_system = if is_windows { b'\\' } else { b'%' };
-    let plain = |c: &u8| c.is_ascii_alphanumeric() || b"-_./=:,+@".contains(c) || *c == of_system;
-    if !bytes.is_empty() && bytes.iter().all(plain) {
-        return bytes.to_vec();
-    }
-    let (quote, inner) = if is_windows { (b'"', &br#"\""#[..]) } else { (b'\'', &br"'\''"[..]) };
-    // Before a double quote, programs on Windows read two backslashes as one.
-    let doubled = |part: &[u8]| -> Vec<u8> {
-        let last = part.iter().rev().take_while(|c| is_windows && **c == b'\\').count();
-        [part, &b"\\".repeat(last)[..]].concat()
-    };
-    let escaped = bytes.split(|c| *c == quote).map(doubled).collect::<Vec<_>>().join(inner);
-    [&[quote][..], &escaped[..], &[quote][..]].concat()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn words_are_quoted_for_a_shell() {
-        for (word, expected) in [
-            ("a/b-0%", "a/b-0%"),
-            ("", "''"),
-            ("a b", "'a b'"),
-            ("it's", r"'it'\''s'"),
-            ("$x", "'$x'"),
-            (r"a\", r"'a\'"),
-        ] {
-            assert_eq!(quoted(OsStr::new(word), false), expected.as_bytes());
-        }
-        for (word, expected) in [
-            (r"C:\a\b-0", r"C:\a\b-0"),
-            ("", r#""""#),
-            (r"C:\a b\", r#""C:\a b\\""#),
-            ("it's", r#""it's""#),
-            (r#"a"b"#, r#""a\"b""#),
-            (r#"a\b\\"c\"#, r#""a\b\\\\\"c\\""#),
-            ("%PATH%", r#""%PATH%""#),
-        ] {
-            assert_eq!(quoted(OsStr::new(word), true), expected.as_bytes());
-        }
-        #[cfg(unix)]
-        {
-            use std::os::unix::ffi::OsStrExt as _;
-            assert_eq!(quoted(OsStr::from_bytes(b"caf\xe9"), false), b"'caf\xe9'");
-        }
-    }
 }

@@ -20,9 +20,12 @@ pub(super) struct Record {
     pub(super) result: Value,
 }
 
-/// Notes of a training.
+/// Notes of a training, without those on the file of its scene, whose name nobody has chosen: how to show or convert
+/// that, or that it was there before.
 pub(super) fn notes(result: &Value) -> impl Iterator<Item = &str> {
-    result["notes"].as_array().into_iter().flatten().filter_map(Value::as_str)
+    let scene = result["scene"].as_str();
+    let all = result["notes"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    all.filter(move |note| scene.is_none_or(|scene| !note.contains(scene)))
 }
 
 /// All results in a folder, `*/*.json`, sorted by name.

@@ -13,7 +13,7 @@ use glam::DVec3;
 use image::ImageFormat;
 
 use super::args::{Args, DensityKind, SurfaceOf};
-use crate::cli::shared;
+use crate::cli::{shared, shell};
 
 pub(super) fn in_words(surface: SurfaceOrigin) -> &'static str {
     match surface {
@@ -126,13 +126,17 @@ fn up_of(cameras: &[Camera]) -> Option<(&'static str, &'static str)> {
 /// Note if the capture's up direction differs from COLMAP's for upright photographs, as in many `transforms.json`: the
 /// scene keeps that world.
 fn lies(args: &Args, capture: &Capture) -> Option<String> {
-    let (axis, frame) = up_of(&capture.cameras())?;
+    up_of(&capture.cameras()).map(|up| lying(&args.output, up))
+}
+
+/// [`lies`], with an element of [`UPS`]. The command is at the end, where it can be copied.
+fn lying(scene: &Path, (axis, frame): (&str, &str)) -> String {
     let how = if axis == "+y" { "upside down" } else { "lying on its side" };
-    let scene = args.output.display();
-    Some(format!(
-        "was taken with {axis} up: glTF viewers, which have +y up, will show the scene {how}; centaur convert {scene} OUT.glb \
-         --axes {frame}:y-down sets it upright"
-    ))
+    let scene = shell::argument(scene);
+    format!(
+        "was taken with {axis} up: glTF viewers, which have +y up, will show the scene {how}; to set it upright: \
+         centaur convert {scene} OUT.glb --axes {frame}:y-down"
+    )
 }
 
 /// Note on the number of photographs beside the capture's own that it does not list: structure from motion may have
@@ -273,6 +277,14 @@ mod tests {
         // Half of the views is upside down.
         let turned = [around(DVec3::Z), around(DVec3::NEG_Z)].concat();
         assert_eq!((up_of(&turned), up_of(&[])), (None, None));
+    }
+
+    #[test]
+    fn the_command_that_turns_a_scene_upright_can_be_pasted() {
+        let quoted = if cfg!(windows) { "\"my scene.glb\"" } else { "'my scene.glb'" };
+        let note = lying(Path::new("my scene.glb"), ("+z", "z-up"));
+        let command = format!("; to set it upright: centaur convert {quoted} OUT.glb --axes z-up:y-down");
+        assert!(note.contains("lying on its side") && note.ends_with(&command), "{note}");
     }
 
     /// The refusal itself is tested elsewhere, for any adapter.

@@ -11,6 +11,12 @@ use crate::cli::bench::protocol::Protocol;
 /// Upper bound on notes below the table. Notes with numbers may differ for every job.
 const MOST_NOTES: usize = 20;
 
+/// Note, with the variants whose trainings gave it, and the scenes of each.
+struct Said<'t> {
+    text: &'t str,
+    by: Vec<(&'t Section, &'t BTreeSet<String>)>,
+}
+
 impl Masked {
     /// Mark after a scene's name.
     fn mark(self) -> &'static str {
@@ -49,18 +55,54 @@ impl Row {
 
 impl Table {
     fn write_notes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let all = || self.variants.iter().flat_map(|of| of.notes.iter().map(move |note| (&of.variant, note)));
-        if all().next().is_some() {
+        let all = self.said();
+        if !all.is_empty() {
             writeln!(f, "\nNotes of the trainings:\n")?;
         }
-        for (variant, Note { text, scenes }) in all().take(MOST_NOTES) {
-            let scenes = scenes.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
-            writeln!(f, "- {variant}, {}: {}", one_line(&scenes), one_line(text))?;
+        for Said { text, by } in all.iter().take(MOST_NOTES) {
+            writeln!(f, "- {}: {}", one_line(&self.in_words(by)), one_line(text))?;
         }
-        match all().count().saturating_sub(MOST_NOTES) {
+        match all.len().saturating_sub(MOST_NOTES) {
             0 => Ok(()),
             more => writeln!(f, "- and {more} more, which table.json has"),
         }
+    }
+
+    /// Notes of all variants, in order of occurrence.
+    fn said(&self) -> Vec<Said<'_>> {
+        let mut all: Vec<Said<'_>> = vec![];
+        for section in &self.variants {
+            for Note { text, scenes } in &section.notes {
+                match all.iter_mut().find(|said| said.text == text) {
+                    Some(said) => said.by.push((section, scenes)),
+                    None => all.push(Said { text, by: vec![(section, scenes)] }),
+                }
+            }
+        }
+        all
+    }
+
+    /// Names of the variants and scenes whose trainings gave a note; `all` if all did.
+    fn in_words(&self, by: &[(&Section, &BTreeSet<String>)]) -> String {
+        let is_of_all = |section: &Section, scenes: &BTreeSet<String>| scenes.len() == section.rows.len();
+        if by.len() == self.variants.len() && by.iter().all(|(section, scenes)| is_of_all(section, scenes)) {
+            return "all".to_owned();
+        }
+        // Variants by their scenes.
+        let mut groups: Vec<(String, Vec<&str>)> = vec![];
+        for (section, scenes) in by {
+            let scenes = if is_of_all(section, scenes) {
+                "all scenes".to_owned()
+            } else {
+                scenes.iter().map(String::as_str).collect::<Vec<_>>().join(", ")
+            };
+            match groups.iter_mut().find(|(known, _)| *known == scenes) {
+                Some((_, variants)) => variants.push(&section.variant),
+                None => groups.push((scenes, vec![section.variant.as_str()])),
+            }
+        }
+        let group = |(scenes, variants): &(String, Vec<&str>)| format!("{}, {scenes}", variants.join(" and "));
+        groups.iter().map(group).collect::<Vec<_>>().join("; ")
     }
 }
 
