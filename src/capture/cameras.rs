@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use super::distortion::Distortion;
 use super::transforms;
 use super::views::{self, Frame};
 use super::{CaptureError, Listed, Lists, LoadOptions, colmap, error, lists};
@@ -25,6 +26,9 @@ pub struct Cameras {
     pub y_up: bool,
     /// Their photographs, as far as the capture names any; the files need not exist.
     pub images: Vec<PathBuf>,
+    /// Folder below which the photographs lie by the names of the cameras, with or without their suffix; `None` if one
+    /// is missing or lies elsewhere, or if its lens is not that of the camera, a pinhole.
+    pub images_folder: Option<PathBuf>,
     /// As [`super::Capture::passed_over`].
     pub passed_over: Vec<PathBuf>,
 }
@@ -98,9 +102,22 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
         frame.name = format!("frame_{i:05}");
     }
     let images = frames.iter().map(|frame| frame.image.clone()).collect();
+    let images_folder = images_folder(&frames);
     let mut cameras = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
     cameras.sort_by(|a, b| natural(&a.0, &b.0));
-    at_least_one(Cameras { cameras, fps, y_up, images, passed_over }, &list)
+    at_least_one(Cameras { cameras, fps, y_up, images, images_folder, passed_over }, &list)
+}
+
+/// See [`Cameras::images_folder`].
+fn images_folder(frames: &[Frame]) -> Option<PathBuf> {
+    let first = frames.first()?;
+    let folder = first.image.ancestors().nth(Path::new(&first.name).components().count())?;
+    let is_there = |frame: &Frame| {
+        let (image, named) = (&frame.image, folder.join(&frame.name));
+        let has_suffix = image.parent() == named.parent() && image.file_stem() == named.file_name();
+        (*image == named || has_suffix) && image.is_file() && frame.lens.distortion == Distortion::None
+    };
+    frames.iter().all(is_there).then(|| folder.to_owned())
 }
 
 fn at_least_one(found: Cameras, list: &Path) -> Result<Cameras, CaptureError> {
@@ -189,7 +206,7 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
     };
     let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
     let cameras = file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?;
-    at_least_one(Cameras { cameras, fps, y_up: false, images: vec![], passed_over: vec![] }, path)
+    at_least_one(Cameras { cameras, fps, y_up: false, images: vec![], images_folder: None, passed_over: vec![] }, path)
 }
 
 /// Natural order of names, in which `frame_2` comes before `frame_10`.

@@ -18,7 +18,9 @@ pub(super) fn find_model(root: &Path) -> Option<PathBuf> {
     let model = ["sparse/0", "sparse", "colmap/sparse/0"].iter().map(|f| root.join(f)).find(|f| holds(f, &cameras));
     // In the capture's own folder a list of frames may belong to anything, so a list of images or rigs is required too.
     let others = ["images.bin", "images.txt", "rigs.bin", "rigs.txt"];
-    model.or_else(|| (holds(root, &cameras) && holds(root, &others)).then(|| root.to_owned()))
+    let holds_both = |folder: &Path| holds(folder, &cameras) && holds(folder, &others);
+    // `0` is where models are in a folder `sparse`, which may be named in place of the capture.
+    model.or_else(|| [root.to_owned(), root.join("0")].into_iter().find(|folder| holds_both(folder)))
 }
 
 /// The folder of a model in or below `root` that lacks its cameras, the file that is missing and one that is there.

@@ -66,7 +66,7 @@ pub enum CaptureError {
     /// Images or masks that the capture names do not exist.
     #[error("{}: {count} of {total} {what} missing, the first is {first}", .folder.display())]
     Missing {
-        /// Folder in which they were expected.
+        /// Folder in which they were expected; the file that names images where that is the current folder.
         folder: PathBuf,
         /// `images` or `masks`.
         what: &'static str,

@@ -93,7 +93,8 @@ struct Listed {
 /// One posed photograph.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// Name in the capture, unique: COLMAP's image name or the `file_path` of a `transforms.json`.
+    /// Name in the capture, unique: COLMAP's image name or the `file_path` of a `transforms.json`, in one that Centaur
+    /// wrote without the folder of the photographs.
     pub name: String,
     /// Pinhole camera at the size of the decoded picture: that of [`Lens::pinhole`], downscaled.
     pub camera: Camera,
@@ -128,7 +129,7 @@ pub struct LoadOptions {
     /// Size of the decoded pictures.
     pub downscale: Downscale,
     /// Image folder instead of `images`, such as `images_4`. For `transforms.json` it replaces a leading `images` in
-    /// the paths.
+    /// the paths, or is put before paths of images that are in it.
     pub images: Option<String>,
     /// Apply masks: `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a
     /// `transforms.json`. White is the object, or the only level besides black; transparent pixels count as black.
@@ -203,6 +204,13 @@ pub fn is_capture(folder: &Path) -> bool {
     colmap::find_model(folder).is_some() || !transforms::find(folder).files.is_empty()
 }
 
+/// PLY files of points that the `transforms*.json` of a folder name (`ply_file_path`), whether or not they are read when
+/// it is opened; none of files that cannot be read.
+#[must_use]
+pub fn points_files(folder: &Path) -> Vec<PathBuf> {
+    transforms::points_files(folder)
+}
+
 /// Checksum that identifies a capture: of the files with its cameras, and of the sizes of its photographs (in the
 /// folder `images`, see [`LoadOptions::images`]), masks and points; `None` if there are no such files.
 ///
@@ -248,10 +256,11 @@ const COARSEST: f64 = 2.5e-4;
 /// Reads the capture at `path`, a folder or a `transforms*.json`.
 ///
 /// In a folder, the first of these is taken: a COLMAP model (`.bin` or `.txt`) in `sparse/0`, `sparse`,
-/// `colmap/sparse/0` or the folder itself, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
+/// `colmap/sparse/0`, the folder itself or `0`, with images in `images/`; `transforms.json` (nerfstudio, instant-ngp);
 /// `transforms_train.json` with `transforms_test.json` (NeRF-synthetic), or else with `transforms_val.json`, or one of
-/// these alone, without a split. Points of a `transforms.json` are those of its `ply_file_path` (nerfstudio), if it has
-/// one, without visibility.
+/// these alone, without a split. Images of a `transforms.json` of another program that are not beside it are looked
+/// for in `images/`. Points of a `transforms.json` are those of its `ply_file_path` (nerfstudio), if it has one, without
+/// visibility.
 ///
 /// Image files may be larger or smaller than their camera states (`images_4`) if the aspect ratio agrees within 1 %;
 /// the intrinsics are scaled to the file.
@@ -312,7 +321,7 @@ fn lists(path: &Path, root: &Path) -> Result<(Lists, Vec<PathBuf>), CaptureError
             return Err(CaptureError::invalid(&folder, "COLMAP model", expected, "none: it is missing"));
         }
         let expected =
-            "a COLMAP model (in sparse/0, sparse, colmap/sparse/0 or the folder itself) or a transforms*.json";
+            "a COLMAP model (in sparse/0, sparse, colmap/sparse/0, the folder itself or 0) or a transforms*.json";
         return Err(CaptureError::invalid(path, "capture", expected, "neither"));
     }
     Ok((Lists::Transforms(found.files), found.passed_over))

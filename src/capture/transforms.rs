@@ -39,6 +39,22 @@ struct Transforms {
 #[derive(Deserialize)]
 struct Ours {
     y_up: Option<bool>,
+    /// Folder of the photographs, with which paths begin and names do not.
+    images: Option<String>,
+}
+
+/// PLY files of points that the `transforms*.json` of a folder name; none of files that cannot be read.
+pub(super) fn points_files(folder: &Path) -> Vec<PathBuf> {
+    #[derive(Deserialize)]
+    struct Probe {
+        ply_file_path: String,
+    }
+    let named = |file: PathBuf| {
+        let probe: Probe = serde_json::from_str(&error::read_text(&file).ok()?).ok()?;
+        let name = plain(&probe.ply_file_path);
+        Some(folder.join(inside(&file, "/ply_file_path", &name).ok()?))
+    };
+    find(folder).all().into_iter().filter_map(named).collect()
 }
 
 #[derive(Deserialize)]
@@ -194,16 +210,20 @@ pub(super) fn parse(
         return Err(CaptureError::invalid(path, "train_, test_ or val_filenames", "the file_path of a frame", name));
     }
     let list: Arc<Path> = path.into();
+    let in_folder = file.centaur.as_ref().and_then(|ours| ours.images.as_deref()).map(plain);
+    // Ours name the folder of photographs, if they are those of its cameras: others may be distorted, or renders.
+    let may_be_below = file.centaur.is_none();
+    let image_of = |name: &Path, images: Option<&str>| find_image(root, name, images, may_be_below);
     let frames = file
         .frames
         .par_iter()
         .enumerate()
         .filter(|(_, fields)| is_listed(&plain(&fields.file_path)))
         .map(|(i, fields)| {
-            let name = plain(&fields.file_path);
+            let file_path = plain(&fields.file_path);
             let at = format!("/frames/{i}");
-            let (image, whole) = match (inside(path, &format!("{at}/file_path"), &name), photographs) {
-                (Ok(name), _) => (find_image(root, name, options.images.as_deref()), find_image(root, name, None)),
+            let (image, whole) = match (inside(path, &format!("{at}/file_path"), &file_path), photographs) {
+                (Ok(name), _) => (image_of(name, options.images.as_deref()), image_of(name, None)),
                 (Err(e), true) => return Err(e),
                 // Without photographs the name is only a label.
                 (Err(_), false) => (PathBuf::new(), PathBuf::new()),
@@ -228,9 +248,9 @@ pub(super) fn parse(
             Ok(Frame {
                 lens: lens(&fields.lens, &file.lens, path, &at, (&image, &whole))?,
                 has_size: has(|l| l.w) && has(|l| l.h),
-                held_out: held_out.or_else(|| own_split.then(|| tested.contains(&name))),
+                held_out: held_out.or_else(|| own_split.then(|| tested.contains(&file_path))),
                 time: number(&fields.time).or(number(&fields.timestep_index)),
-                name,
+                name: without(in_folder.as_deref(), file_path),
                 list: list.clone(),
                 at,
                 image,
@@ -242,9 +262,9 @@ pub(super) fn parse(
         })
         .collect::<Result<Vec<Frame>, CaptureError>>()?;
     if let (Some(folder), true) = (&options.images, photographs) {
-        let is_in = |frame: &Frame, folder: &str| Path::new(&frame.name).starts_with(folder);
+        let folder = root.join(folder);
         // Photographs of other folders would keep their size, beside smaller ones.
-        if let Some(other) = frames.iter().find(|frame| !(is_in(frame, "images") || is_in(frame, folder))) {
+        if let Some(other) = frames.iter().find(|frame| !frame.image.starts_with(&folder)) {
             let expected = "a path that begins with images/, so that --images can replace that folder";
             return Err(CaptureError::invalid(path, format!("{}/file_path", other.at), expected, &other.name));
         }
@@ -261,22 +281,43 @@ pub(super) fn parse(
     Ok(Parsed { frames, fps: file.fps, y_up: file.centaur.and_then(|ours| ours.y_up).unwrap_or_default(), points })
 }
 
-/// File of an image: with `images` replaced by the given folder, and a suffix added if the name has none.
-fn find_image(root: &Path, name: &Path, images: Option<&str>) -> PathBuf {
-    let path = match (images, name.strip_prefix("images")) {
-        (Some(folder), Ok(rest)) => root.join(folder).join(rest),
-        _ => root.join(name),
+/// Path of an image without this folder, if it begins with it.
+fn without(folder: Option<&str>, path: String) -> String {
+    match folder.and_then(|folder| path.strip_prefix(folder)?.strip_prefix('/')) {
+        Some(rest) => rest.to_owned(),
+        None => path,
+    }
+}
+
+/// File of an image: with `images` replaced by the given folder, and a suffix added if the name has none. The file of
+/// a name that does not begin with `images` may lie in the given folder, or, where there is none beside the list and
+/// `may_be_below` it, in `images`.
+fn find_image(root: &Path, name: &Path, images: Option<&str>, may_be_below: bool) -> PathBuf {
+    let folder = root.join(images.unwrap_or("images"));
+    if let Ok(rest) = name.strip_prefix("images") {
+        let path = folder.join(rest);
+        return with_suffix(&path).unwrap_or(path);
+    }
+    let (beside, below) = (root.join(name), folder.join(name));
+    let found = match images {
+        Some(_) => with_suffix(&below).or_else(|| with_suffix(&beside)),
+        None => with_suffix(&beside).or_else(|| with_suffix(&below).filter(|_| may_be_below)),
     };
+    found.unwrap_or(beside)
+}
+
+/// The file at this path, else one with a suffix appended, if there is one.
+fn with_suffix(path: &Path) -> Option<PathBuf> {
     if path.is_file() {
-        return path;
+        return Some(path.to_owned());
     }
     // Appended, not replaced: a name like `frame.001` has no suffix.
     let candidates = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"].map(|suffix| {
-        let mut with_suffix = path.clone().into_os_string();
+        let mut with_suffix = path.to_owned().into_os_string();
         with_suffix.push(format!(".{suffix}"));
         PathBuf::from(with_suffix)
     });
-    candidates.into_iter().find(|p| p.is_file()).unwrap_or(path)
+    candidates.into_iter().find(|p| p.is_file())
 }
 
 /// World→camera pose from a camera→world matrix in OpenGL axes (x right, y up, z back).

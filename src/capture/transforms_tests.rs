@@ -420,3 +420,60 @@ fn another_folder_takes_the_place_of_all_images_or_of_none() {
         }
     }
 }
+
+/// As nerfstudio lays captures out, where a list leaves out the folder.
+#[test]
+fn photographs_may_lie_in_their_usual_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    for images in ["images", "small"] {
+        std::fs::create_dir(root.join(images)).unwrap();
+        for name in ["0.png", "1.png"] {
+            std::fs::copy(root.join(name), root.join(images).join(name)).unwrap();
+        }
+    }
+    let first = |images: Option<&str>| {
+        let options = LoadOptions { images: images.map(str::to_owned), ..full() };
+        let view = open(root, &options).unwrap().views.remove(0);
+        assert_eq!(view.name, "0.png");
+        view.source.path().strip_prefix(root).unwrap().to_owned()
+    };
+    let [beside, images, small] = ["0.png", "images/0.png", "small/0.png"].map(Path::new);
+    assert_eq!([None, Some("images"), Some("small")].map(first), [beside, images, small]);
+    for name in ["0.png", "1.png"] {
+        std::fs::remove_file(root.join(name)).unwrap();
+    }
+    assert_eq!([None, Some("images"), Some("small")].map(first), [images, images, small]);
+    // What lies there beside one of ours, which does not say so, may be renders of it.
+    let file = root.join("transforms.json");
+    let named = || cameras(root, &full()).unwrap().images[0].clone();
+    let text = std::fs::read_to_string(&file).unwrap().replace(r#""fl_x":8"#, r#""fl_x":8,"w":8,"h":8"#);
+    std::fs::write(&file, &text).unwrap();
+    assert_eq!(named(), root.join(images));
+    std::fs::write(&file, text.replace(r#""fl_x":8"#, r#""fl_x":8,"centaur":{}"#)).unwrap();
+    assert_eq!(named(), root.join(beside));
+}
+
+/// As `centaur cameras convert` writes it, with names as in the capture that the cameras are of.
+#[test]
+fn names_may_be_without_the_folder_of_the_photographs() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    std::fs::create_dir_all(root.join("a/images")).unwrap();
+    for name in ["0.png", "1.png"] {
+        std::fs::rename(root.join(name), root.join("a/images").join(name)).unwrap();
+    }
+    let file = root.join("transforms.json");
+    let text = std::fs::read_to_string(&file).unwrap().replace(r#""file_path":""#, r#""file_path":"./a/images/"#);
+    for (images, name) in [("a/images", "0.png"), ("a", "images/0.png"), ("b", "a/images/0.png")] {
+        let ours = format!(r#""centaur":{{"images":"{images}"}},"frames""#);
+        std::fs::write(&file, text.replace(r#""frames""#, &ours)).unwrap();
+        let view = open(root, &full()).unwrap().views.remove(0);
+        assert_eq!((&*view.name, view.source.path()), (name, &*root.join("a/images/0.png")));
+        assert_eq!(cameras(root, &full()).unwrap().cameras[0].0, name);
+        let found = cameras(root, &full()).unwrap().images_folder;
+        assert_eq!(found, root.join("a/images/0.png").ancestors().nth(name.split('/').count()).map(Path::to_owned));
+    }
+}

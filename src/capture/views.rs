@@ -78,8 +78,10 @@ pub(super) fn assemble(
             format!("{} twice", pair[0].name),
         ));
     }
+    // No name of a folder says less than that of the list.
+    let place = if root == Path::new(".") { list } else { root };
     all_exist(
-        root,
+        place,
         "images",
         frames.iter().map(|f| (f.image.strip_prefix(root).unwrap_or(&f.image), f.image.is_file())),
     )?;

@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::edits::{finite, point, positive};
 use super::output;
-use super::shared::{self, SamplingArgs, frame_rate, read_cameras};
+use super::shared::{self, SamplingArgs, UpArgs, frame_rate, read_cameras};
 use super::usage;
 
 const EXAMPLES: &str = "\
@@ -35,12 +35,15 @@ other glTF and USD files are y up.
 To make a path, SOURCE may also be any other scene that `centaur convert` reads. If it has no
 cameras, 8 cameras in a ring look at it from 15 degrees above, with 1024x768 pixels and a vertical
 field of view of 45 degrees. Its centre and size are those of the box that holds nine tenths of the
-splats, weighted by opacity, and of the vertices along each axis.
+splats, weighted by opacity and large ones the less, and of the vertices along each axis. That
+centre is also the focus of a path around a scene of which the cameras have no point in common.
 
 The name of OUT determines the format:
   .json          transforms.json of nerfstudio, in the world of SOURCE: transform_matrix is camera
                  to world, with OpenGL axes (x right, y up, z backwards). Also stores `fps` and,
-                 under `centaur`, whether the world is y up, which Centaur reads back
+                 under `centaur`, whether the world is y up, which Centaur reads back. `convert`
+                 names photographs that are without distortion by their paths from OUT, if they lie
+                 below its folder, else as images/NAME: copied there, they make OUT a capture
   .glb, .gltf    one animated camera, y up; the world of a capture (y down) is rotated by 180
                  degrees about x, as in scenes of Centaur, so that both match in Blender. Exact
                  intrinsics are in `extras`
@@ -146,12 +149,15 @@ struct ShotArgs {
     /// Vertical field of view in degrees [default: that of the cameras, or their median if they differ]
     #[arg(long, value_name = "DEGREES", value_parser = field_of_view)]
     fov: Option<f64>,
+    #[command(flatten)]
+    up: UpArgs,
 }
 
 #[derive(clap::Args)]
 #[command(next_help_heading = "Path")]
 struct AroundArgs {
-    /// Point to look at, in the world of SOURCE [default: the point nearest to the optical axes of the cameras]
+    /// Point to look at, in the world of SOURCE [default: the point nearest to the optical axes of the cameras, or the
+    /// middle of the scene if these do not meet]
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     focus: Option<DVec3>,
     /// Radius of an orbit, or half the width of a figure of eight [default: from the cameras]
@@ -169,6 +175,9 @@ struct AroundArgs {
     height_scale: f64,
 }
 
+/// Maker of a path around a point.
+type MakeAround = fn(&[Camera], &Around, &Shot) -> Result<Vec<Camera>, PathError>;
+
 impl ShotArgs {
     fn shot(&self) -> Shot {
         Shot { frames: self.frames as usize, size: self.size, fov_y: self.fov.map(f64::to_radians) }
@@ -184,12 +193,10 @@ impl AroundArgs {
 
 pub(super) fn run(args: &Args) -> Result<()> {
     match &args.kind {
-        Kind::Orbit { files, shot, around } => {
-            files.generate(shot, |views, _| path::orbit(views, &around.around(), &shot.shot()))
-        }
+        Kind::Orbit { files, shot, around } => files.generate_around(shot, around, path::orbit),
         Kind::Spline { files, shot, keys, closed } => {
             let options = Spline { keys: keys.map(|n| n as usize), closed: *closed };
-            files.generate(shot, |views, notes| {
+            files.generate(shot, |views, CameraFile { notes, .. }| {
                 if let Some(keys) = keys.filter(|&keys| keys as usize > views.len()) {
                     notes.push(format!(
                         "--keys {keys}: there are only {}, which are all keys",
@@ -199,9 +206,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
                 path::spline(views, &options, &shot.shot())
             })
         }
-        Kind::Lemniscate { files, shot, around } => {
-            files.generate(shot, |views, _| path::lemniscate(views, &around.around(), &shot.shot()))
-        }
+        Kind::Lemniscate { files, shot, around } => files.generate_around(shot, around, path::lemniscate),
         Kind::Convert { files, sampling } => {
             files.check()?;
             files.write(read_cameras(&files.source, &sampling.sampling(), &LoadOptions::default())?)
@@ -244,11 +249,17 @@ impl FileArgs {
     }
 
     /// The cameras to make a path of: those of the source or, where it is a scene without any, some around it.
-    fn views(&self) -> Result<CameraFile> {
+    fn views(&self, up: &UpArgs) -> Result<CameraFile> {
         // A path that SOURCE has of us gives way to this one; it is none of the cameras to go by.
         let sampling = Sampling { without_paths: self.with_scene, ..Sampling::default() };
         let read = read_cameras(&self.source, &sampling, &LoadOptions::default());
-        let Err(error) = read else { return read };
+        let error = match read {
+            Ok(mut views) => {
+                views.notes.extend(up.up.map(|_| "has cameras: --up has no effect".to_owned()));
+                return Ok(views);
+            }
+            Err(error) => error,
+        };
         let is_scene = error.downcast_ref::<FormatError>().is_some_and(FormatError::is_lack_of_cameras);
         // SOG, too, may be a .json.
         if !is_scene && !has_extension(&self.source, &["json"]) {
@@ -258,8 +269,9 @@ impl FileArgs {
             Ok(scene) => scene,
             Err(fault) => return Err(if is_scene { fault.into() } else { error }),
         };
-        let mut views = shared::cameras_around(&self.source, &scene, &Sampling::default())?;
-        views.notes.push(format!("has no cameras: the path is made from {} around the scene", shared::PLACES));
+        let mut views = shared::cameras_around(&self.source, &scene, &Sampling::default(), up)?;
+        let up = up.said(&scene);
+        views.notes.push(format!("has no cameras: the path is made from {} around the scene, {up}", shared::PLACES));
         Ok(views)
     }
 
@@ -279,16 +291,33 @@ impl FileArgs {
         Ok(())
     }
 
-    /// Generates a path; `make` gets the cameras of the source, and the list of notes.
+    /// Generates a path around what the cameras look at. Where they have no such point in common, as a single one, it
+    /// is around the middle of the scene, if there is one.
+    fn generate_around(&self, shot: &ShotArgs, around: &AroundArgs, make: MakeAround) -> Result<()> {
+        self.generate(shot, |views, source| {
+            let (around, shot) = (around.around(), shot.shot());
+            let made = make(views, &around, &shot);
+            let lacks_focus = matches!(made, Err(PathError::NoFocus));
+            let scene = lacks_focus.then(|| read_file(&self.source, &ReadOptions::default()).ok()).flatten();
+            let Some(focus) = scene.and_then(|scene| shared::middle_of(&scene, source.y_up)) else { return made };
+            source.notes.push(
+                "optical axes of its cameras do not meet in a point: the path is around the middle of the scene (--focus X,Y,Z)"
+                    .to_owned(),
+            );
+            make(views, &Around { focus: Some(focus), ..around }, &shot)
+        })
+    }
+
+    /// Generates a path; `make` gets the cameras of the source, and the source.
     fn generate(
         &self,
         shot: &ShotArgs,
-        make: impl FnOnce(&[Camera], &mut Vec<String>) -> Result<Vec<Camera>, PathError>,
+        make: impl FnOnce(&[Camera], &mut CameraFile) -> Result<Vec<Camera>, PathError>,
     ) -> Result<()> {
         self.check()?;
-        let mut source = self.views()?;
+        let mut source = self.views(&shot.up)?;
         let views: Vec<Camera> = source.cameras.iter().map(|(_, camera)| *camera).collect();
-        let frames = match make(&views, &mut source.notes) {
+        let frames = match make(&views, &mut source) {
             Err(e @ (PathError::NoFocus | PathError::Outwards)) => {
                 bail!("{}: {e} (--focus X,Y,Z)", self.source.display())
             }
@@ -298,7 +327,7 @@ impl FileArgs {
         let named = frames.into_iter().enumerate().map(|(i, camera)| (format!("frame_{i:05}"), camera));
         let cameras: Vec<_> = named.collect();
         let times = (0..cameras.len()).map(|i| i as f64 / shot.fps).collect();
-        self.write(CameraFile { cameras, fps: Some(shot.fps), times, ..source })
+        self.write(CameraFile { cameras, fps: Some(shot.fps), times, images: None, ..source })
     }
 
     fn write(&self, file: CameraFile) -> Result<()> {

@@ -58,7 +58,8 @@ centaur convert [OPTIONS] <INPUT>... <OUTPUT>
 pub(super) struct Args {
     /// Scenes to read, recognised by content, followed by the file to write unless -o names it
     ///
-    /// Several scenes are joined into one, at the highest SH degree among them; the last file must then be new.
+    /// Several scenes are joined into one, at the highest SH degree among them; the last file must then be new. A file
+    /// that an export beside it or a capture uses is not replaced.
     #[arg(required = true, num_args = 1.., value_name = "FILE")]
     files: Vec<PathBuf>,
     /// File to write; all other files are then read, and the file may exist
@@ -184,6 +185,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         format!("{}: --spz-version: expected a name that ends in .spz", files.output.display()),
     )?;
     output::check_file(files.output)?;
+    placing::spare_used(files.output)?;
     let bar = output::bar(&args.messages, files.inputs.len() as u64 + 2);
     bar.set_style(
         ProgressStyle::with_template("{bar:16} {pos}/{len}  {wide_msg}").expect("the template is a constant"),
@@ -315,12 +317,10 @@ fn read(
     Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
 }
 
-/// Says so where the second of two names, as shells make them of `*.ply`, is that of a scene of the same kind, which is
-/// gone.
+/// Says so where the second of two names, as shells make them of `scene*`, is that of a file, which is gone.
 fn replaced(args: &Args, Files { inputs, output, .. }: Files<'_>) -> Option<String> {
     let [input] = inputs else { return None };
-    let is_alike = input.extension().is_some() && input.extension() == output.extension();
-    let is_lost = args.output.is_none() && is_alike && output.is_file() && !output::is_same(input, output);
+    let is_lost = args.output.is_none() && output.is_file() && !output::is_same(input, output);
     is_lost.then(|| "existed before and is replaced: the last file is the one to write".to_owned())
 }
 

@@ -5,7 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::format::gltf::Source;
-use centaur::format::{CameraFile, DEFAULT_FPS, MAX_FRAMES, ReadOptions, Sampling, SceneFile, frame_count, read_file};
+use centaur::format::{
+    self, CameraFile, DEFAULT_FPS, MAX_FRAMES, ReadOptions, Sampling, SceneFile, frame_count, read_file,
+};
 use centaur::render::contract::{ImageModel, ShDirection};
 use centaur::render::gpu::{Gpu, GpuError, LayeredPicture, LayeredRenderer, Picture, Renderer};
 use centaur::scene::{Camera, HybridScene};
@@ -14,7 +16,7 @@ use clap::ValueEnum;
 use super::interrupt;
 use super::output;
 use super::progress::Views;
-use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, MessageArgs, PictureArgs, SamplingArgs};
+use super::shared::{self, AdapterArgs, AnimationArgs, Backdrop, MessageArgs, PictureArgs, SamplingArgs, UpArgs};
 use super::usage;
 use super::video::{self, Film};
 
@@ -60,9 +62,11 @@ pub(super) struct Args {
     /// cameras` makes such files.
     ///
     /// A scene without cameras is rendered from 8 places in a ring around it, `view_0` to `view_7`, in images of
-    /// 1024×768, as by `centaur cameras orbit`.
+    /// 1024×768, as by `centaur cameras orbit`; --up sets it upright.
     #[arg(long, value_name = "embedded|PATH", default_value = "embedded")]
     cameras: PathBuf,
+    #[command(flatten)]
+    up: UpArgs,
     #[command(flatten)]
     sampling: SamplingArgs,
     /// Time at which an animated glTF scene is rendered, or a range of times, of which a single still camera renders
@@ -175,6 +179,9 @@ impl LookArgs {
     }
 }
 
+/// Why nothing has a time.
+const STILL: &str = "its cameras are not frames of a path and have no times";
+
 impl Args {
     fn format(&self) -> Format {
         self.format.unwrap_or(if self.look.exr_layers { Format::Exr } else { Format::Png })
@@ -194,6 +201,10 @@ impl Args {
         usage::demand(
             !(self.is_embedded() && self.loading.images.is_some()),
             "--images applies to photographs: give --cameras CAPTURE, or omit --images",
+        )?;
+        usage::demand(
+            self.is_embedded() || self.up.up.is_none(),
+            "--up applies to views of a scene without cameras: omit --cameras or --up",
         )?;
         usage::demand(
             look.model == Model::Ray || look.sh_direction == Direction::Mean,
@@ -221,10 +232,11 @@ impl Args {
 
     /// Cameras around a scene that has none.
     fn around(&self, file: &SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
-        let mut shot = self.loading.cameras_around(&self.scene, file, sampling)?;
+        let mut shot = self.loading.cameras_around(&self.scene, file, sampling, &self.up)?;
         shot.notes.push(format!(
-            "has no cameras: rendered from {} around it; --cameras takes cameras of another file, `centaur cameras orbit` makes a path",
-            output::counted(shot.cameras.len(), "place")
+            "has no cameras: rendered from {} around it, {}; --cameras takes cameras of another file, `centaur cameras orbit` makes a path",
+            output::counted(shot.cameras.len(), "place"),
+            self.up.said(file)
         ));
         Ok(shot)
     }
@@ -260,17 +272,33 @@ impl Args {
             let fps = sampling.fps.or(shot.fps).or(document.fps()).unwrap_or(DEFAULT_FPS);
             shot = span(shot, [start, end], fps)?;
         }
-        if moving.is_some() && self.time.is_none() && shot.times.is_empty() {
-            let idle = [("--fps", sampling.fps.is_some()), ("--animation", !self.played.animations.is_empty())];
-            shot.notes.extend(idle.into_iter().filter(|(_, is_said)| *is_said).map(|(flag, _)| {
-                format!("its cameras are not frames of a path and have no times: {flag} has no effect, and the scene is shown in its rest pose")
-            }));
-        }
+        let idle = self.idle(&shot, moving.is_some(), !has_none);
+        shot.notes.extend(idle);
         let times = shot.times.first().zip(shot.times.last());
         let played = moving.filter(|_| self.moment().is_none()).zip(times);
         let played = played.map_or_else(Vec::new, |(document, (first, last))| document.played([*first, *last]));
         file.notes.extend(played);
         Ok(shot)
+    }
+
+    /// Says which flags have no effect on a scene that `moves` or not, seen by these cameras, `own` ones or made ones.
+    fn idle(&self, shot: &CameraFile, moves: bool, own: bool) -> Vec<String> {
+        let has_photographs = self.cameras.is_dir() || format::has_extension(&self.cameras, &["json"]);
+        let is_still = shot.times.is_empty();
+        let rests = is_still && moves && self.time.is_none();
+        let (still, rest) = match self.moment() {
+            Some(_) => ("shown at one time", ""),
+            None if rests => (STILL, ", and the scene is shown in its rest pose"),
+            None => (STILL, ""),
+        };
+        let idle = [
+            ("--fps", is_still && self.video.is_none() && self.sampling.sampling().fps.is_some(), still, rest),
+            ("--animation", rests && !self.played.animations.is_empty(), still, rest),
+            ("--up", own && self.up.up.is_some(), "has cameras", ""),
+            ("--images", !has_photographs && self.loading.images.is_some(), "names no photographs", ""),
+        ];
+        let said = idle.into_iter().filter(|(_, is_idle, ..)| *is_idle);
+        said.map(|(flag, _, why, then)| format!("{why}: {flag} has no effect{then}")).collect()
     }
 
     /// Fits the near plane to all cameras that there are, whichever of them --camera picks.

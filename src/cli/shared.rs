@@ -11,7 +11,10 @@ pub(super) use centaur::format::picture_names;
 use centaur::format::{self, CameraFile, Sampling, SceneFile};
 use centaur::path::{self, Overview};
 use centaur::render::gpu::Gpu;
+use centaur::scene::frame::OPENGL_FROM_OPENCV;
 use centaur::scene::{Camera, Intrinsics};
+use clap::ValueEnum as _;
+use glam::DVec3;
 
 /// A step that finds out by itself where there is something for it to do.
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -114,8 +117,14 @@ impl PictureArgs {
     }
 
     /// As [`cameras_around`].
-    pub(super) fn cameras_around(&self, path: &Path, file: &SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
-        Ok(resized(cameras_around(path, file, sampling)?, sampling, &self.options()))
+    pub(super) fn cameras_around(
+        &self,
+        path: &Path,
+        file: &SceneFile,
+        sampling: &Sampling<'_>,
+        up: &UpArgs,
+    ) -> Result<CameraFile> {
+        Ok(resized(cameras_around(path, file, sampling, up)?, sampling, &self.options()))
     }
 
     /// Cameras of a capture, a scene or a path, with or without photographs.
@@ -191,7 +200,8 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
         }
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
-    let Cameras { mut cameras, fps: stated, y_up, passed_over: others, .. } = capture::cameras(path, options)?;
+    let read = capture::cameras(path, options)?;
+    let Cameras { mut cameras, fps: stated, y_up, images_folder: images, passed_over: others, .. } = read;
     let fps = sampling.fps.or(stated);
     // Only paths state a rate, at whichever rate they are read. A frame of a path has the time of its place in the
     // whole path, even if it is the only one selected; photographs and other stills have no time.
@@ -199,22 +209,93 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
     retain_rows(&mut times, &wanted);
-    Ok(CameraFile { cameras, fps, y_up, times, near: None, notes: passed_over(&others) })
+    Ok(CameraFile { cameras, fps, y_up, times, near: None, images, notes: passed_over(&others) })
 }
 
 /// From how many places a scene without cameras is seen.
 pub(super) const PLACES: usize = 8;
 
+/// Which way is up in a scene without cameras.
+#[derive(clap::Args)]
+pub(super) struct UpArgs {
+    /// Axis of the scene's world that points up, if the scene has no cameras [default: -y; y for glTF and USD of other
+    /// programs]
+    #[arg(long, value_name = "AXIS", value_enum, allow_hyphen_values = true)]
+    pub(super) up: Option<Axis>,
+}
+
+/// Axis of a world, in either direction: x, y, z, -x, -y or -z.
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+pub(super) enum Axis {
+    #[value(alias = "+x")]
+    X,
+    #[value(alias = "+y")]
+    Y,
+    #[value(alias = "+z")]
+    Z,
+    #[value(name = "-x")]
+    MinusX,
+    #[value(name = "-y")]
+    MinusY,
+    #[value(name = "-z")]
+    MinusZ,
+}
+
+impl Axis {
+    fn direction(self) -> DVec3 {
+        match self {
+            Self::X => DVec3::X,
+            Self::Y => DVec3::Y,
+            Self::Z => DVec3::Z,
+            Self::MinusX => DVec3::NEG_X,
+            Self::MinusY => DVec3::NEG_Y,
+            Self::MinusZ => DVec3::NEG_Z,
+        }
+    }
+}
+
+impl UpArgs {
+    /// Axis of the world of `file` that points up.
+    fn of(&self, file: &SceneFile) -> Axis {
+        self.up.unwrap_or(if file.y_up { Axis::Y } else { Axis::MinusY })
+    }
+
+    /// How views around a scene without cameras stand, and how they could.
+    pub(super) fn said(&self, file: &SceneFile) -> String {
+        let up = self.of(file);
+        let name = up.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        let other = if up == Axis::Z { "-y" } else { "z" };
+        format!("with {name} up (where it lies on its side, --up {other} or another axis)")
+    }
+}
+
 /// Cameras in a ring around what a scene shows that has none, in the frame of its file.
-pub(super) fn cameras_around(path: &Path, file: &SceneFile, sampling: &Sampling<'_>) -> Result<CameraFile> {
+pub(super) fn cameras_around(
+    path: &Path,
+    file: &SceneFile,
+    sampling: &Sampling<'_>,
+    up: &UpArgs,
+) -> Result<CameraFile> {
     let named = || path.display().to_string();
-    let Overview { views, radius, .. } = path::overview(&file.scene, PLACES).with_context(named)?;
+    let up = in_world(up.of(file).direction(), file.y_up);
+    let Overview { views, radius, .. } = path::overview(&file.scene, up, PLACES).with_context(named)?;
     let mut cameras: Vec<_> = views.into_iter().enumerate().map(|(i, view)| (format!("view_{i}"), view)).collect();
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
     let near = Some(near_of(file, radius));
-    let cameras = CameraFile { cameras, fps: None, y_up: false, times: vec![], near, notes: vec![] };
+    let cameras = CameraFile { cameras, fps: None, y_up: false, times: vec![], near, images: None, notes: vec![] };
     Ok(cameras.in_frame(file.y_up))
+}
+
+/// Middle of what a scene shows, in a y-up world or in the frame of captures; `None` of one with nothing in it.
+pub(super) fn middle_of(file: &SceneFile, y_up: bool) -> Option<DVec3> {
+    let Overview { focus, .. } = path::overview(&file.scene, path::UP, 1).ok()?;
+    Some(in_world(focus, y_up))
+}
+
+/// A vector between the frame of captures and a world, in either direction: they differ if the world is y up.
+fn in_world(vector: DVec3, y_up: bool) -> DVec3 {
+    if y_up { OPENGL_FROM_OPENCV * vector } else { vector }
 }
 
 /// Depth of the near plane of a scene without cameras: where nothing says what is too near to be shown, that is little
@@ -231,7 +312,7 @@ pub(super) fn fit_near<'c>(file: &mut SceneFile, mut cameras: impl Iterator<Item
     let before = file.scene.composition.near;
     // A scene with nothing in it has no radius, and needs none.
     if lacks_near(file)
-        && let Ok(Overview { focus, radius, .. }) = path::overview(&file.scene, 1)
+        && let Ok(Overview { focus, radius, .. }) = path::overview(&file.scene, path::UP, 1)
         && cameras.all(|camera| camera.center().distance(focus) > radius)
     {
         file.scene.composition.near = near_of(file, radius);

@@ -14,7 +14,7 @@ use glam::DVec3;
 
 use crate::scene::{Camera, Intrinsics, SceneError, view_axes};
 use crate::stats::median_by;
-pub use overview::{Overview, overview};
+pub use overview::{Overview, UP, overview};
 use rig::Rig;
 pub use spline::{Spline, spline};
 

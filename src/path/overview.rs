@@ -30,16 +30,24 @@ pub struct Overview {
     pub radius: f64,
 }
 
+/// Up in the frame of captures, which scenes are read in.
+pub const UP: DVec3 = DVec3::NEG_Y;
+
 /// Views of a scene in a ring about it, a little above, all of which look at its middle. What it shows is the box in
-/// which nine tenths of splats, weighted by opacity, and of vertices are along each axis. Up is −y, as in the frame of
-/// captures, which scenes are read in; the first view looks towards +z.
+/// which nine tenths of splats, weighted by opacity and large ones the less, and of vertices are along each axis. `up`
+/// is a unit vector; the first view looks towards +z, or towards +y where z is nearly up or down.
 ///
 /// # Errors
 /// If there are no splats and no meshes.
-pub fn overview(scene: &HybridScene, count: usize) -> Result<Overview, PathError> {
+pub fn overview(scene: &HybridScene, up: DVec3, count: usize) -> Result<Overview, PathError> {
     let (focus, radius) = ball(scene).ok_or(PathError::Empty)?;
     let distance = radius / (0.5 * FOV_Y).to_radians().sin();
-    let first = Camera::new(lens(), DMat3::IDENTITY, DVec3::Z * distance - focus)?;
+    let ahead = if up.z.abs() > 0.9 { DVec3::Y } else { DVec3::Z };
+    let ahead = (ahead - up * ahead.dot(up)).normalize();
+    // Not negated, which would give zeros a sign.
+    let down = DVec3::ZERO - up;
+    let rotation = DMat3::from_cols(down.cross(ahead), down, ahead).transpose();
+    let first = Camera::new(lens(), rotation, DVec3::Z * distance - rotation * focus)?;
     let (sin, cos) = DOWN.to_radians().sin_cos();
     let (radius_of_ring, height) = (Some(distance * cos), Some(distance * sin));
     let around = Around { focus: Some(focus), radius: radius_of_ring, height, ..Around::default() };
@@ -60,17 +68,19 @@ fn ball(scene: &HybridScene) -> Option<(DVec3, f64)> {
     Some((0.5 * (low + high), if radius > 0.0 { radius } else { 1.0 }))
 }
 
-/// Of few splats it matters how large they are.
+/// Of few splats it matters how large they are. Those that are larger than most weigh the less, the larger they are:
+/// trainings put some far behind what they show, as large as the background is in the pictures.
 fn box_of_splats(splats: &Splats) -> Option<(DVec3, DVec3)> {
-    let (mut means, mut sizes) = (vec![], vec![]);
-    for i in (0..splats.len()).step_by(splats.len().div_ceil(MOST).max(1)) {
-        let opacity = 1.0 / (1.0 + (-f64::from(splats.opacity_logits()[i])).exp());
-        means.push((splats.means()[i].as_dvec3(), opacity));
-        sizes.push((f64::from(splats.log_scales()[i].max_element()).exp(), opacity));
-    }
+    let some = || (0..splats.len()).step_by(splats.len().div_ceil(MOST).max(1));
+    let opacity = |i: usize| 1.0 / (1.0 + (-f64::from(splats.opacity_logits()[i])).exp());
+    let size = |i: usize| f64::from(splats.log_scales()[i].max_element()).exp();
+    let mut sizes: Vec<(f64, f64)> = some().map(|i| (size(i), opacity(i))).collect();
+    let usual = quantile(&mut sizes, 0.5)?;
+    let weight = |i: usize| opacity(i) * (usual / size(i)).min(1.0);
+    let means: Vec<(DVec3, f64)> = some().map(|i| (splats.means()[i].as_dvec3(), weight(i))).collect();
     let (low, high) = inner_box(&means)?;
-    let size = DVec3::splat(2.0 * quantile(&mut sizes, 0.5)?);
-    Some((low - size, high + size))
+    let margin = DVec3::splat(2.0 * usual);
+    Some((low - margin, high + margin))
 }
 
 fn box_of_vertices(meshes: &[Mesh]) -> Option<(DVec3, DVec3)> {

@@ -280,7 +280,7 @@ fn a_scene_without_views_is_seen_from_around_it() {
         vec![[0.0; 3]; count],
     );
     let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
-    let Overview { views, focus, radius } = overview(&scene, 8).unwrap();
+    let Overview { views, focus, radius } = overview(&scene, UP, 8).unwrap();
     assert!(views.len() == 8 && (2.0..5.0).contains(&radius), "{radius}");
     assert!(solid.iter().all(|p| p.distance(focus) < radius), "{focus}");
     for view in &views {
@@ -293,5 +293,48 @@ fn a_scene_without_views_is_seen_from_around_it() {
     assert!(again.iter().zip(&views).all(|(a, b)| a.center().abs_diff_eq(b.center(), 1e-6)));
     assert!(all_finite(&spline(&views, &Spline { keys: None, closed: true }, &frames(20)).unwrap()));
     let nothing = HybridScene { splats: Splats::empty(0), ..scene };
-    assert_eq!(overview(&nothing, 8).unwrap_err(), PathError::Empty);
+    assert_eq!(overview(&nothing, UP, 8).unwrap_err(), PathError::Empty);
+}
+
+/// Splats of a grid around the origin, 4 wide, and of this size and place besides.
+fn grid_and(far: &[(DVec3, f64)]) -> HybridScene {
+    let of_grid = (0..125).map(|i| (DVec3::new(f64::from(i % 5), f64::from(i / 5 % 5), f64::from(i / 25)) - 2.0, 0.1));
+    let all: Vec<(DVec3, f64)> = of_grid.chain(far.iter().copied()).collect();
+    let count = all.len();
+    let splats = Splats::new(
+        all.iter().map(|(mean, _)| mean.as_vec3()).collect(),
+        vec![Quat::IDENTITY; count],
+        all.iter().map(|(_, size)| Vec3::splat(size.ln() as f32)).collect(),
+        vec![3.0; count],
+        0,
+        vec![[0.0; 3]; count],
+    );
+    HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() }
+}
+
+/// As trainings of few splats have it, in which a background is more than a tenth of them.
+#[test]
+fn a_background_is_not_what_a_scene_without_views_shows() {
+    let alone = overview(&grid_and(&[]), UP, 1).unwrap();
+    let far: Vec<(DVec3, f64)> = (0..40).map(|i| (DVec3::new(f64::from(i) - 20.0, 0.0, -60.0), 10.0)).collect();
+    let found = overview(&grid_and(&far), UP, 1).unwrap();
+    assert!(found.focus.distance(alone.focus) < 0.5 && found.radius < 1.2 * alone.radius, "{found:?}");
+    // What is as large as the rest is shown.
+    let near: Vec<(DVec3, f64)> = far.iter().map(|(mean, _)| (*mean, 0.1)).collect();
+    assert!(overview(&grid_and(&near), UP, 1).unwrap().radius > 20.0);
+}
+
+#[test]
+fn views_of_a_scene_without_any_stand_as_they_are_asked_to() {
+    let scene = grid_and(&[]);
+    for up in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X, DVec3::NEG_Y, DVec3::NEG_Z] {
+        let Overview { views, focus, radius } = overview(&scene, up, 8).unwrap();
+        assert!(focus.length() < 1e-6 && radius > 3.0, "{focus} {radius}");
+        for view in &views {
+            assert!(-view.rotation().row(1).dot(up) > 0.9 && view.center().dot(up) > 0.0, "{up}");
+            assert!(forward(view).abs_diff_eq(-view.center().normalize(), 1e-6), "{up}");
+        }
+        let ahead = if up.z == 0.0 { DVec3::Z } else { DVec3::Y };
+        assert!(forward(&views[0]).dot(ahead) > 0.9, "{up}");
+    }
 }

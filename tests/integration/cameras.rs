@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::common::{centaur, failure, said, stderr, tree, write_capture};
+use centaur::capture::{self, LoadOptions};
 use centaur::format::{WriteOptions, write_scene};
 use centaur::scene::{Camera, Composition, HybridScene, Intrinsics, Splats};
 use glam::{DMat3, DVec3, Quat, Vec3};
@@ -139,8 +140,10 @@ fn scenes_without_cameras_are_seen_from_around_them() {
     for scene in ["ball.ply", "ball.glb"] {
         write_ball(&at(scene), Composition::default());
         let said = run(folder.path(), &["render", scene, "-o", "around", "--max-side", "64"]);
-        let note =
-            format!("note: {scene}: has no cameras: rendered from 8 places around it; --cameras takes cameras of");
+        let up = "with -y up (where it lies on its side, --up z or another axis)";
+        let note = format!(
+            "note: {scene}: has no cameras: rendered from 8 places around it, {up}; --cameras takes cameras of"
+        );
         assert!(said.starts_with("around: 8 pictures\n") && said.contains(&note), "{said}");
         for i in 0..8 {
             let picture = image::open(at(&format!("around/view_{i}.png"))).unwrap().into_rgb8();
@@ -151,7 +154,7 @@ fn scenes_without_cameras_are_seen_from_around_them() {
         }
         for (kind, out) in [("orbit", "o.glb"), ("lemniscate", "l.json"), ("spline", "s.usda")] {
             let said = run(folder.path(), &["cameras", kind, scene, "-o", out, "--frames", "3", "--size", "32x24"]);
-            let note = format!("note: {scene}: has no cameras: the path is made from 8 around the scene\n");
+            let note = format!("note: {scene}: has no cameras: the path is made from 8 around the scene, {up}\n");
             assert!(said.starts_with(&format!("{out}: 3 frames of 32×24")) && said.ends_with(&note), "{said}");
         }
     }
@@ -163,6 +166,17 @@ fn scenes_without_cameras_are_seen_from_around_them() {
     // The camera is above the model, and upright.
     let pose = &path["frames"][0]["transform_matrix"];
     assert!(pose[1][3].as_f64().unwrap() > 99.0 && pose[1][1].as_f64().unwrap() > 0.9, "{pose}");
+    for (scene, up, axis, sign) in [
+        ("theirs.usda", "-y", 1_usize, -1.0),
+        ("theirs.usda", "z", 2, 1.0),
+        ("ball.ply", "-x", 0, -1.0),
+        ("ball.ply", "y", 1, 1.0),
+    ] {
+        run(folder.path(), &["cameras", "orbit", scene, "-o", "up.json", "--frames", "4", "--up", up]);
+        let path: serde_json::Value = serde_json::from_slice(&std::fs::read(at("up.json")).unwrap()).unwrap();
+        let pose = &path["frames"][0]["transform_matrix"];
+        assert!(sign * pose[axis][1].as_f64().unwrap() > 0.9, "{scene} {up}: {pose}");
+    }
     let some = ["render", "ball.glb", "-o", "some", "--camera", "view_3", "--camera", "0", "--max-side", "32"];
     run(folder.path(), &some);
     let names = ["view_0.png", "view_3.png"].map(|name| at("some").join(name).display().to_string());
@@ -172,12 +186,105 @@ fn scenes_without_cameras_are_seen_from_around_them() {
         run(folder.path(), &["cameras", "orbit", "ball.glb", "-o", "both.glb", "--with-scene", "--frames", "3"]);
         std::fs::rename(at("both.glb"), at("ball.glb")).unwrap();
     }
-    let said = run(folder.path(), &["render", "ball.glb", "-o", "path", "--max-side", "32"]);
-    assert!(said.starts_with("path: 3 pictures\n"), "{said}");
+    let said = run(folder.path(), &["render", "ball.glb", "-o", "path", "--max-side", "32", "--up", "z"]);
+    let is_idle = said.contains("note: ball.glb: has cameras: --up has no effect\n");
+    assert!(said.starts_with("path: 3 pictures\n") && is_idle, "{said}");
     let empty = HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
     write_scene(&at("empty.ply"), &empty, &WriteOptions::default()).unwrap();
     let line = failure(folder.path(), centaur(folder.path()).args(["render", "empty.ply", "-o", "no"]));
     assert_eq!(line, "error: empty.ply: expected a scene to look at, found no splats and no meshes");
+}
+
+/// As artists make them, in a file of ours and in one that is y up.
+#[test]
+fn a_scene_with_one_camera_is_circled() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_ball(&at("ball.glb"), Composition::default());
+    let scene = centaur::format::read_scene(&at("ball.glb")).unwrap();
+    let lens = Intrinsics { width: 20, height: 15, fx: 18.0, fy: 18.0, cx: 10.0, cy: 7.5 };
+    let camera = Camera::look_at(lens, DVec3::new(0.5, 0.0, -3.0), DVec3::ZERO, DVec3::NEG_Y).unwrap();
+    let cameras = [("front".to_owned(), camera)];
+    write_scene(&at("ours.glb"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
+    let corners = [0.0_f32, 90.0, 0.0, 4.0, 90.0, 0.0, 0.0, 94.0, 0.0];
+    std::fs::write(at("theirs.bin"), corners.map(f32::to_le_bytes).as_flattened()).unwrap();
+    let theirs = serde_json::json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0, 1] }],
+        "nodes": [{ "mesh": 0 }, { "camera": 0, "translation": [2, 92, 10] }],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 0.8, "aspectRatio": 1.25, "znear": 0.1 } }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3, "min": [0, 90, 0], "max": [4, 94, 0] }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }], "buffers": [{ "byteLength": 36, "uri": "theirs.bin" }],
+    });
+    std::fs::write(at("theirs.gltf"), theirs.to_string()).unwrap();
+    for (scene, middle, distance) in
+        [("ours.glb", DVec3::ZERO, 9.25_f64.sqrt()), ("theirs.gltf", DVec3::new(2.0, 92.0, 0.0), 10.0)]
+    {
+        let note = format!(
+            "note: {scene}: optical axes of its cameras do not meet in a point: the path is around the middle of the scene (--focus X,Y,Z)\n"
+        );
+        for kind in ["orbit", "lemniscate"] {
+            let said =
+                run(folder.path(), &["cameras", kind, scene, "-o", "path.json", "--frames", "5", "--size", "8x6"]);
+            assert!(said.ends_with(&note), "{said}");
+        }
+        run(folder.path(), &["cameras", "orbit", scene, "-o", "path.json", "--frames", "5", "--size", "8x6"]);
+        let path: serde_json::Value = serde_json::from_slice(&std::fs::read(at("path.json")).unwrap()).unwrap();
+        for frame in path["frames"].as_array().unwrap() {
+            let column =
+                |j: usize| DVec3::from([0, 1, 2].map(|i: usize| frame["transform_matrix"][i][j].as_f64().unwrap()));
+            let offset = column(3) - middle;
+            assert!(
+                (offset.length() - distance).abs() < 1e-4 && offset.angle_between(column(2)) < 1e-4,
+                "{scene}: {frame}"
+            );
+        }
+    }
+    // Of flags that have no effect there is a note.
+    let render = ["render", "ball.glb", "--cameras", "ours.glb", "-o", "still", "--fps", "24", "--images", "photos"];
+    let said = run(folder.path(), &render);
+    for idle in ["its cameras are not frames of a path and have no times: --fps", "names no photographs: --images"] {
+        assert!(said.contains(&format!("note: ours.glb: {idle} has no effect\n")), "{said}");
+    }
+}
+
+/// With a copy of the photographs beside them, as nerfstudio lays captures out.
+#[test]
+fn cameras_of_a_capture_make_a_capture_of_its_photographs() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_capture(&at("capture"), 9, (32, 24));
+    std::fs::create_dir_all(at("ns/images")).unwrap();
+    for i in 0..9 {
+        std::fs::copy(at(&format!("capture/images/{i:03}.png")), at(&format!("ns/images/{i:03}.png"))).unwrap();
+    }
+    let opened = |path: &str| {
+        let views = capture::open(&at(path), &LoadOptions::default()).unwrap().views;
+        views.into_iter().map(|view| (view.name, view.camera.center())).collect::<Vec<_>>()
+    };
+    for (from, to, named) in [
+        ("capture", "ns/transforms.json", "images/000.png"),
+        ("ns", "all.json", "ns/images/000.png"),
+        ("all.json", "ns/again.json", "images/000.png"),
+    ] {
+        run(folder.path(), &["cameras", "convert", from, "-o", to]);
+        let list: serde_json::Value = serde_json::from_slice(&std::fs::read(at(to)).unwrap()).unwrap();
+        assert_eq!(list["frames"][0]["file_path"], named);
+        for ((name, center), (expected, place)) in opened(to).into_iter().zip(opened("capture")) {
+            assert!(name == expected && center.distance(place) < 1e-9, "{to}: {name} {center}");
+        }
+    }
+    // Pictures have the names of the photographs; a model's folder is found in place of its capture.
+    write_ball(&at("ball.glb"), Composition::default());
+    for cameras in ["ns", "capture", "capture/sparse"] {
+        let render = ["render", "ball.glb", "--cameras", cameras, "-o", "frames", "--camera", "003.png"];
+        run(folder.path(), &render);
+        assert_eq!(tree(&at("frames")), [at("frames").join("003.png").display().to_string()]);
+        std::fs::remove_dir_all(at("frames")).unwrap();
+    }
+    std::fs::remove_dir_all(at("ns/images")).unwrap();
+    let line = failure(&at("ns"), centaur(&at("ns")).args(["train", "transforms.json", "-o", "s.glb"]));
+    assert!(line.starts_with("error: transforms.json: 9 of 9 images missing, the first is images"), "{line}");
 }
 
 /// All of such a scene is nearer to the cameras of a path than the usual near plane.
@@ -343,6 +450,8 @@ fn what_makes_no_path_is_one_line() {
         &["cameras", "orbit", "capture", "-o", "a.json", "--focus", "1,2"],
         &["cameras", "spline", "capture", "-o", "a.json", "--keys", "1"],
         &["render", "ball.glb", "-o", "a", "--fps", "0"],
+        &["render", "ball.glb", "-o", "a", "--up", "w"],
+        &["render", "ball.glb", "-o", "a", "--cameras", "capture", "--up", "z"],
         &["render", "ball.glb", "-o", "a", "--video", "a.avi"],
     ] {
         let output = centaur(folder.path()).args(args).output().unwrap();

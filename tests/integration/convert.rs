@@ -289,6 +289,7 @@ fn several_inputs_become_one_scene() {
         convert(folder.path(), "m.glb old.glb").contains(note)
             && !convert(folder.path(), "m.glb -o old.glb").contains(note)
     );
+    assert!(convert(folder.path(), "a.ply old.glb").contains(note), "of any two names");
     // An output that cannot be written is reported before that check.
     let line =
         common::wrong_usage(folder.path(), common::centaur(folder.path()).args(["convert", "a.ply", "m.glb", "."]));
@@ -404,7 +405,7 @@ fn invalid_splats_are_refused_or_dropped() {
         );
         let said = convert(folder.path(), &format!("a.ply {whole} -o d.ply --drop-invalid"));
         assert!(said.contains(&format!("\nnote: d.ply: {note}\n")), "{said}");
-        let said = as_json(folder.path(), &format!("{whole} d.splat --drop-invalid"));
+        let said = as_json(folder.path(), &format!("{whole} -o d.splat --drop-invalid"));
         assert_eq!((&said["inputs"][0]["dropped"], &said["notes"]), (&0.into(), &[note].into()));
     }
     let said = convert(folder.path(), "d.splat e.ply --drop-invalid");

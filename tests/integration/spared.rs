@@ -180,6 +180,38 @@ fn exports_do_not_replace_files_of_others_beside_them() {
     assert!(line.starts_with("error: g.blend.py: would replace ") && line.ends_with(expected), "{line}");
 }
 
+#[test]
+fn outputs_do_not_replace_files_that_others_use() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_splats(&at("g.ply"), 5);
+    write_splats(&at("h.ply"), 9);
+    for (export, splats) in [("a.xml", "a_splats.ply"), ("b.blend.py", "b_splats.ply")] {
+        run(folder.path(), &format!("convert g.ply {export}"));
+        for args in [format!("convert h.ply {splats}"), format!("convert h.ply -o {splats}")] {
+            let line = refused(folder.path(), &args);
+            assert!(
+                line.ends_with(&format!("{splats}: is a file that {export} uses: expected another name")),
+                "{line}"
+            );
+        }
+    }
+    // Names that only end or begin so are of other files.
+    let text = std::fs::read_to_string(at("a.xml")).unwrap();
+    std::fs::write(at("a.xml"), text.replace("\"a_splats.ply\"", "\"aa_splats.ply\"")).unwrap();
+    let said = run(folder.path(), "convert h.ply a_splats.ply");
+    assert!(said.contains("note: a_splats.ply: existed before and is replaced"), "{said}");
+    // Points of a capture, even if it is read otherwise.
+    write_capture(&at("capture"), 9, (16, 12));
+    std::fs::create_dir(at("capture/points")).unwrap();
+    write_splats(&at("capture/points/p.ply"), 5);
+    std::fs::write(at("capture/transforms.json"), r#"{"ply_file_path":"./points/p.ply","frames":[]}"#).unwrap();
+    let line = refused(folder.path(), "convert g.ply capture/points/p.ply");
+    assert!(line.starts_with("error: capture/points/p.ply: holds the points of the capture "), "{line}");
+    assert!(line.ends_with("capture: expected another name"), "{line}");
+    run(folder.path(), "convert g.ply capture/points/q.ply");
+}
+
 /// An existing output file need not be an export by this program.
 #[test]
 fn outputs_of_others_do_not_give_their_neighbours_away() {

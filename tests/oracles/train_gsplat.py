@@ -47,13 +47,16 @@ def read_points(path):
 def read_views(capture, cameras):
     """Reads world to camera [N, 4, 4] (OpenCV axes), intrinsics [N, 3, 3] and photographs [N, H, W, 3] u8, by name."""
     document = json.loads(Path(cameras).read_text())
+    # With these the paths begin, relative to the file, which may lie anywhere.
+    folder = document.get("centaur", {}).get("images", "") + "/"
     poses, intrinsics, photographs = [], [], []
     for frame in sorted(document["frames"], key=lambda f: f["file_path"]):
         k = document | frame
         pose = np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1])
         poses.append(np.linalg.inv(pose))
         intrinsics.append([[k["fl_x"], 0, k["cx"]], [0, k["fl_y"], k["cy"]], [0, 0, 1]])
-        photographs.append(np.asarray(Image.open(Path(capture) / "images" / frame["file_path"]).convert("RGB")))
+        name = frame["file_path"].removeprefix(folder)
+        photographs.append(np.asarray(Image.open(Path(capture) / "images" / name).convert("RGB")))
     as_f32 = lambda values: torch.tensor(np.array(values), dtype=torch.float32, device="cuda")
     return as_f32(poses), as_f32(intrinsics), torch.tensor(np.array(photographs), device="cuda")
 

@@ -204,6 +204,7 @@ fn flight() -> CameraFile {
         y_up: false,
         times: vec![],
         near: None,
+        images: None,
         notes: vec![],
     }
 }

@@ -18,6 +18,7 @@ fn asked(kind: &str, flags: &str) -> Options {
             ("frames", format!("{frames:?}")),
             ("size", format!("{size:?}")),
             ("fov_y", format!("{fov_y:?}")),
+            ("up", format!("{:?}", shot.up.up)),
         ]
     };
     let of_around = |around: &AroundArgs| {
@@ -54,6 +55,8 @@ const SHOT: &[Row] = &[
     ("--fps 12.5", &[("fps", "12.5")]),
     ("--size 32x24", &[("size", "Some([32, 24])")]),
     ("--fov 90", &[("fov_y", "Some(1.5707963267948966)")]),
+    ("--up -x", &[("up", "Some(MinusX)")]),
+    ("--up +z", &[("up", "Some(Z)")]),
 ];
 
 const AROUND: &[Row] = &[

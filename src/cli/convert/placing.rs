@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use centaur::atomic::{self, Staging, folder_of};
-use centaur::format::{self, Sharing};
+use centaur::capture;
+use centaur::format::{self, Format, Sharing};
 
 use crate::cli::output;
 
@@ -66,6 +67,41 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
     Ok(shown.into_iter().map(note).collect())
 }
 
+/// Rejects an output that belongs to others: a file that an export beside it uses, or points of a capture.
+pub(super) fn spare_used(output: &Path) -> Result<()> {
+    // Nothing can be lost there.
+    if !output.is_file() {
+        return Ok(());
+    }
+    let named = || format!("{}: cannot write", output.display());
+    let place = atomic::place_of(output).with_context(named)?;
+    if let Some(user) = [output, &place].into_iter().find_map(user_of) {
+        bail!("{}: is a file that {} uses: expected another name", output.display(), user.display());
+    }
+    let real = atomic::real_path(output).with_context(named)?;
+    let is_it = |file: &PathBuf| atomic::real_path(file).is_ok_and(|file| file == real);
+    // Points are in the folder of their capture, or in a subfolder.
+    let mut folders = real.ancestors().skip(1).take(4).filter(|_| format::has_extension(&real, &["ply"]));
+    if let Some(folder) = folders.find(|folder| capture::points_files(folder).iter().any(is_it)) {
+        let folder = folder.display();
+        bail!("{}: holds the points of the capture {folder}: expected another name", output.display());
+    }
+    Ok(())
+}
+
+/// Export for a rendering program that has the name of `file`, which lies beside it, in its text, if there is one.
+/// Exports that cannot be read use nothing.
+fn user_of(file: &Path) -> Option<PathBuf> {
+    let name = file.file_name()?.as_encoded_bytes();
+    let quoted = [b'"', b'\''].map(|quote| [&[quote][..], name, &[quote]].concat());
+    let quoted = quoted.each_ref().map(Vec::as_slice);
+    let is_export = |path: &PathBuf| Format::of_path(path).is_some_and(|format| !format.is_readable());
+    let beside = folder_of(file).read_dir().ok()?.flatten().map(|entry| file.with_file_name(entry.file_name()));
+    let mut exports: Vec<PathBuf> = beside.filter(|path| path != file && is_export(path) && path.is_file()).collect();
+    exports.sort_unstable();
+    exports.into_iter().find(|path| names_any_of(path, &quoted, IGNORES_CASE).unwrap_or(false))
+}
+
 /// Rejects overwriting files that the user has not named: inputs, or companions of another output.
 fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) -> Result<()> {
     let is_own = names_one_of(output, companions, IGNORES_CASE).with_context(|| output.display().to_string())?;
@@ -86,20 +122,23 @@ fn spare_foreign(output: &Path, companions: &[Companion], inputs: &[PathBuf]) ->
 /// Whether the output exists and, by its text, has one of these companions, whose names may differ by case where the
 /// system `ignores_case`: the output may have been renamed.
 fn names_one_of(output: &Path, companions: &[Companion], ignores_case: bool) -> io::Result<bool> {
-    let are_one = |a: &[u8], b: &[u8]| if ignores_case { a.eq_ignore_ascii_case(b) } else { a == b };
     let own = companions.iter().filter(|file| !file.is_plugin());
     let own: Vec<&[u8]> = own.filter_map(|file| Some(file.place.file_name()?.as_encoded_bytes())).collect();
-    let Some(longest) = own.iter().map(|name| name.len()).max().filter(|_| output.exists()) else {
-        return Ok(false);
-    };
-    let (mut file, mut text) = (File::open(output)?, vec![]);
+    Ok(output.exists() && names_any_of(output, &own, ignores_case)?)
+}
+
+/// Whether one of these names is in the text of a file, in any case where the system `ignores_case`.
+fn names_any_of(file: &Path, names: &[&[u8]], ignores_case: bool) -> io::Result<bool> {
+    let are_one = |a: &[u8], b: &[u8]| if ignores_case { a.eq_ignore_ascii_case(b) } else { a == b };
+    let Some(longest) = names.iter().map(|name| name.len()).max() else { return Ok(false) };
+    let (mut file, mut text) = (File::open(file)?, vec![]);
     loop {
         // A name may span two reads.
         text.drain(..text.len().saturating_sub(longest));
         if (&mut file).take(1 << 20).read_to_end(&mut text)? == 0 {
             return Ok(false);
         }
-        if own.iter().any(|name| text.windows(name.len()).any(|part| are_one(part, name))) {
+        if names.iter().any(|name| text.windows(name.len()).any(|part| are_one(part, name))) {
             return Ok(true);
         }
     }

@@ -60,6 +60,7 @@ fn parts_of_capture(folder: &Path, besides: &[&str]) -> Vec<String> {
     names.sort_unstable();
     names.retain(|name| match &name[..] {
         "sparse" => !is_our_model(&folder.join(name)),
+        "0" => entries(&folder.join(name)).iter().any(|file| ["cameras.bin", "cameras.txt"].contains(&&file[..])),
         "colmap" | "cameras.bin" | "cameras.txt" | "frames.bin" | "frames.txt" => true,
         other => besides.contains(&other) || is_transforms(other) && !is_our_transforms(&folder.join(other)),
     });

@@ -14,7 +14,7 @@ mod tests;
 mod transforms;
 
 use std::collections::{HashMap, HashSet};
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 
 pub(super) use self::colmap::write as write_model;
 pub(super) use self::transforms::write as write_transforms;
@@ -36,6 +36,9 @@ pub struct CameraFile {
     /// Depth of the near plane with which they are written; `None`: that of the scene with which they are, or the usual
     /// one. Readers leave it out.
     pub near: Option<f32>,
+    /// Folder below which there is a photograph by each camera's name, with or without its suffix; `None` if they are not
+    /// known, as of files that name none.
+    pub images: Option<PathBuf>,
     /// Notes on content that could not be represented exactly, one sentence each.
     pub notes: Vec<String>,
 }
@@ -179,7 +182,7 @@ pub(super) fn chosen(
         };
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
-    Ok(CameraFile { cameras, fps, y_up, times, near: None, notes })
+    Ok(CameraFile { cameras, fps, y_up, times, near: None, images: None, notes })
 }
 
 /// Number of frames from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or

@@ -45,7 +45,7 @@ fn gltf_with(
     floats: &[(&str, &[f32])],
     samplers: &serde_json::Value,
     channels: &serde_json::Value,
-) -> std::path::PathBuf {
+) -> PathBuf {
     let (mut bin, mut views, mut accessors) = (vec![], vec![], vec![]);
     for (kind, values) in floats {
         let width = if *kind == "SCALAR" { 1 } else { kind[3..].parse::<usize>().unwrap() };

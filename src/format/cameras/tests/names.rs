@@ -37,7 +37,8 @@ fn names_of_pictures_are_safe_and_unique() {
         (["a.jpg", "A.jpg"], ["a.png", "A_2.png"]),
     ] {
         let cameras = vec![(given[0].to_owned(), first), (given[1].to_owned(), second)];
-        let file = CameraFile { cameras, fps: None, y_up: false, times: vec![], near: None, notes: vec![] };
+        let file =
+            CameraFile { cameras, fps: None, y_up: false, times: vec![], near: None, images: None, notes: vec![] };
         for name in ["a.json", "model"] {
             write_cameras(&folder.path().join(name), &file).unwrap();
             let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();
@@ -74,4 +75,39 @@ fn names_of_cameras_are_short() {
         "{:?}",
         found.notes[0].len()
     );
+}
+
+/// Below the folder of the file as they lie, else as in captures of nerfstudio.
+#[test]
+fn photographs_that_are_known_are_named_by_their_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for place in ["a/images", "a/photos", "b"] {
+        std::fs::create_dir_all(at(place)).unwrap();
+    }
+    let names = ["left/1 .jpg", "left/r_2"];
+    let cameras = names.map(|name| (name.to_owned(), shot(1, 0.0)[0].1)).to_vec();
+    for (images, out, expected) in [
+        ("a/images", "a/list.json", "images/left/1 .jpg"),
+        ("a/images", "all.json", "a/images/left/1 .jpg"),
+        ("a/images", "a/images/here.json", "left/1 .jpg"),
+        ("a/images", "b/transforms.json", "images/left/1 .jpg"),
+        ("a/photos", "b/transforms.json", "left/1 .jpg"),
+    ] {
+        let images = Some(at(images));
+        let file = CameraFile {
+            cameras: cameras.clone(),
+            fps: None,
+            y_up: false,
+            times: vec![],
+            near: None,
+            images,
+            notes: vec![],
+        };
+        write_cameras(&at(out), &file).unwrap();
+        let list: serde_json::Value = serde_json::from_slice(&std::fs::read(at(out)).unwrap()).unwrap();
+        assert_eq!(list["frames"][0]["file_path"], expected, "{out}");
+        let back = capture::cameras(&at(out), &LoadOptions::default()).unwrap();
+        assert_eq!(back.cameras.iter().map(|(name, _)| &**name).collect::<Vec<_>>(), names, "{out}");
+    }
 }

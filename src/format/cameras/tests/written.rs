@@ -15,6 +15,7 @@ fn what_is_written_is_read() {
             y_up: false,
             times: vec![],
             near: None,
+            images: None,
             notes: vec![],
         };
         for (name, tolerance) in [("a.glb", 1e-5), ("a.gltf", 1e-5), ("a.usda", 1e-12)] {
@@ -51,8 +52,15 @@ fn what_is_written_is_read() {
 #[test]
 fn lenses_may_differ() {
     let folder = tempfile::tempdir().unwrap();
-    let file =
-        CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), y_up: false, times: vec![], near: None, notes: vec![] };
+    let file = CameraFile {
+        cameras: shot(5, 1.5),
+        fps: Some(10.0),
+        y_up: false,
+        times: vec![],
+        near: None,
+        images: None,
+        notes: vec![],
+    };
     let at = |name: &str| {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -72,8 +80,15 @@ fn lenses_may_differ() {
 #[test]
 fn frames_of_reference_are_kept_where_files_have_one() {
     let folder = tempfile::tempdir().unwrap();
-    let file =
-        CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: true, times: vec![], near: None, notes: vec![] };
+    let file = CameraFile {
+        cameras: shot(4, 0.0),
+        fps: Some(10.0),
+        y_up: true,
+        times: vec![],
+        near: None,
+        images: None,
+        notes: vec![],
+    };
     for name in ["a.glb", "a.usda"] {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -100,8 +115,15 @@ fn frames_of_reference_are_kept_where_files_have_one() {
 fn captures_are_neither_replaced_nor_hidden() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let file =
-        CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), y_up: false, times: vec![], near: None, notes: vec![] };
+    let file = CameraFile {
+        cameras: shot(3, 0.0),
+        fps: Some(9.0),
+        y_up: false,
+        times: vec![],
+        near: None,
+        images: None,
+        notes: vec![],
+    };
     let write = |name: &str| write_cameras(&root.join(name), &file).map_err(|e| e.to_string());
     let refused = |name: &str, held: &str| {
         let path = root.join(name).display().to_string();
@@ -130,6 +152,8 @@ fn captures_are_neither_replaced_nor_hidden() {
         assert_eq!(std::fs::read_to_string(root.join(capture)).unwrap(), "{}");
     }
     refused("f/transforms_train.json", "transforms_train.json");
+    // A model's folder may be named in place of its capture.
+    refused("a/sparse", "0");
     // A folder with photographs alone would become a capture if a COLMAP model were added; a single file beside them
     // hides nothing.
     touch("h/images/a.png", "");
@@ -170,7 +194,7 @@ fn shots_keep_their_times() {
     for (start, fps, frames) in [(5.0, 30.0, 91), (0.25, 29.97, 40), (4000.1, 60.0, 7)] {
         let times: Vec<f64> = (0..frames).map(|i| start + f64::from(i) / fps).collect();
         let cameras = shot(times.len(), 0.0);
-        let file = CameraFile { cameras, fps: Some(fps), y_up: false, times, near: None, notes: vec![] };
+        let file = CameraFile { cameras, fps: Some(fps), y_up: false, times, near: None, images: None, notes: vec![] };
         for name in ["a.glb", "a.usda"] {
             let path = folder.path().join(name);
             write_cameras(&path, &file).unwrap();
