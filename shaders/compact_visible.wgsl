@@ -1,6 +1,7 @@
 // Lists visible splats with their depth as sort key. z > near > 0, so float bits order like depths; counting from
 // `near` leaves 28 significant bits for every depth up to 2³² · near. Near planes of other programs may be practically
-// 0: keys count from at least LEAST, for depths up to 43,000 units.
+// 0: keys count from at least LEAST_DEPTH, for depths up to 43,000 units. render/gpu/unit.rs defines it, and renders
+// finished scenes that are too small for it in another unit.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -10,8 +11,6 @@
 @group(0) @binding(4) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(5) var<storage, read_write> splats: array<u32>;
 
-const LEAST: f32 = 1e-5;
-
 @compute @workgroup_size(256)
 fn main(
     @builtin(workgroup_id) group: vec3u,
@@ -19,7 +18,7 @@ fn main(
 ) {
     let i = group_index(group) * 256u + thread;
     if i >= view.n_splats || visible[i] == 0u { return; }
-    let first = bitcast<u32>(max(view.near, LEAST));
+    let first = bitcast<u32>(max(view.near, LEAST_DEPTH));
     keys[slots[i]] = min(max(bitcast<u32>(projected[3u * i].z), first) - first, 0x0fffffffu);
     splats[slots[i]] = i;
 }

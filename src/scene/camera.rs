@@ -228,6 +228,12 @@ impl Camera {
         DVec3::new((uv.x - k.cx) / k.fx, (uv.y - k.cy) / k.fy, 1.0)
     }
 
+    /// The camera in a world whose lengths are `factor` times as large.
+    #[must_use]
+    pub(crate) fn scaled(&self, factor: f64) -> Self {
+        Self { translation: factor * self.translation, ..*self }
+    }
+
     /// The camera with `margin` more pixels on every side of the picture.
     #[must_use]
     pub fn padded(&self, margin: u32) -> Self {

@@ -7,6 +7,7 @@ use super::{
     mesh::MeshStage,
     picture::Picture,
     splats::{ImageCapacity, Purpose},
+    unit::Unit,
 };
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::scene::{Camera, HybridScene, sh};
@@ -65,6 +66,7 @@ impl LayeredPicture {
 pub struct LayeredRenderer<'g> {
     gpu: &'g Gpu,
     model: ImageModel,
+    unit: Unit,
     front: Front,
     parts: Buffer,
     /// Progress of each pixel, where one dispatch may not finish them (`shaders/shared/layered.wgsl`).
@@ -75,19 +77,22 @@ pub struct LayeredRenderer<'g> {
 }
 
 impl<'g> LayeredRenderer<'g> {
-    /// Uploads the scene and makes room for pictures up to the sizes of `cameras`.
+    /// Uploads the scene and makes room for pictures up to the sizes of `cameras`. As by [`super::Renderer::new`], very
+    /// small and very large scenes are rendered in another unit of length; depths are in that of the world.
     ///
     /// # Errors
     /// If the composition is not valid, or the adapter cannot hold the scene.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera], model: ImageModel) -> Result<Self, GpuError> {
         scene.composition.validate().map_err(GpuError::Scene)?;
-        let front = Front::new(gpu, scene, 0, cameras, Purpose::Render(model), None)?;
+        let unit = Unit::of(scene, cameras);
+        let scene = unit.scene(scene).map_err(GpuError::Scene)?;
+        let front = Front::new(gpu, &scene, 0, cameras, Purpose::Render(model), None)?;
         let parts = gpu.storage("parts of the picture", front.image.pixels * PARTS * 4)?;
         let words = PROGRESS * (1 + front.image.pixels);
         let progress = gpu.loop_passes().map(|_| gpu.storage("progress of the picture", words)).transpose()?;
         let blend = blend(gpu, model, &front, &parts, progress.as_ref());
         let bound_to = front.generation();
-        Ok(Self { gpu, model, front, parts, progress, blend, bound_to })
+        Ok(Self { gpu, model, unit, front, parts, progress, blend, bound_to })
     }
 
     /// Renders one picture and waits for it.
@@ -127,7 +132,7 @@ impl<'g> LayeredRenderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let view = self.front.prepare(self.gpu, camera)?;
+        let view = self.front.prepare(self.gpu, &self.unit.camera(camera))?;
         self.refresh();
         let mut frame = Frame::new(self.gpu);
         self.progress.iter().for_each(|progress| frame.clear(progress));
@@ -155,8 +160,8 @@ impl<'g> LayeredRenderer<'g> {
             height: k.height,
             splats: words.iter().map(|p| p[0]).collect(),
             mesh: words.iter().map(|p| p[1]).collect(),
-            expected_depth: words.iter().map(|p| p[2][0]).collect(),
-            median_depth: words.iter().map(|p| p[2][1]).collect(),
+            expected_depth: self.unit.in_world(words.iter().map(|p| p[2][0]).collect()),
+            median_depth: self.unit.in_world(words.iter().map(|p| p[2][1]).collect()),
             count: words.iter().map(|p| p[2][2]).collect(),
             transmittance: words.iter().map(|p| p[2][3]).collect(),
             normal: words.iter().map(|p| [p[3][0], p[3][1], p[3][2]]).collect(),

@@ -44,6 +44,7 @@ pub(crate) mod status;
 pub(crate) mod texels;
 mod tile_pairs;
 pub(crate) mod training;
+mod unit;
 pub(crate) mod vertices;
 pub(crate) mod view;
 

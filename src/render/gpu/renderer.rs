@@ -4,23 +4,28 @@ use super::{
     device::{Frame, Gpu, GpuError},
     picture::Picture,
     pipeline::Pipeline,
+    unit::Unit,
 };
 use crate::scene::{Camera, HybridScene};
 
 /// Renderer of a scene, with the scene on the GPU.
 pub struct Renderer<'g> {
     gpu: &'g Gpu,
+    unit: Unit,
     pipeline: Pipeline,
 }
 
 impl<'g> Renderer<'g> {
-    /// Uploads the scene and makes room for pictures up to the sizes of `cameras`.
+    /// Uploads the scene and makes room for pictures up to the sizes of `cameras`. Very small and very large scenes are
+    /// rendered in another unit of length, which their distance from `cameras` decides.
     ///
     /// # Errors
     /// If the adapter cannot hold the scene, or its composition is not valid.
     pub fn new(gpu: &'g Gpu, scene: &HybridScene, cameras: &[Camera]) -> Result<Self, GpuError> {
         scene.composition.validate().map_err(GpuError::Scene)?;
-        Ok(Self { gpu, pipeline: Pipeline::new(gpu, scene, 0, cameras, None)? })
+        let unit = Unit::of(scene, cameras);
+        let scene = unit.scene(scene).map_err(GpuError::Scene)?;
+        Ok(Self { gpu, unit, pipeline: Pipeline::new(gpu, &scene, 0, cameras, None)? })
     }
 
     /// Renders one picture and waits for it.
@@ -42,10 +47,10 @@ impl<'g> Renderer<'g> {
     pub(crate) fn median_depth(&mut self, camera: &Camera) -> Result<Vec<f32>, GpuError> {
         self.pipeline.front.image.check(camera)?;
         loop {
-            let view = self.pipeline.prepare(self.gpu, camera)?;
+            let view = self.pipeline.prepare(self.gpu, &self.unit.camera(camera))?;
             let depth = self.pipeline.submit_median_depth(self.gpu, &view)?;
             if !self.pipeline.grow_if_short(self.gpu)? {
-                return self.gpu.read(&depth, view.pixels());
+                return Ok(self.unit.in_world(self.gpu.read(&depth, view.pixels())?));
             }
         }
     }
@@ -66,7 +71,7 @@ impl<'g> Renderer<'g> {
     }
 
     fn submit(&mut self, camera: &Camera) -> Result<(), GpuError> {
-        let view = self.pipeline.prepare(self.gpu, camera)?;
+        let view = self.pipeline.prepare(self.gpu, &self.unit.camera(camera))?;
         let mut frame = Frame::new(self.gpu);
         self.pipeline.record(self.gpu, &mut frame, &view);
         frame.submit();

@@ -7,6 +7,7 @@ use super::{
     shader::Defines,
     sort::{self, Sort},
     tile_pairs::{COUNT_PAIRS, COUNT_SPLATS, COUNT_VISIBLE, InView, PER_GROUP, TilePairs},
+    unit::LEAST_DEPTH,
     view::TILE,
 };
 use crate::render::contract::{ImageModel, ShDirection};
@@ -199,7 +200,8 @@ impl SplatLists {
 
         let defines = with_sh(gpu.defines(), splats.sh_degree)
             .with("LAYERS", layers)
-            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)));
+            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)))
+            .with_real("LEAST_DEPTH", LEAST_DEPTH.into());
         let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);
         let mut parameters = vec![view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible];
         let project = match &rays {
