@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use glam::DQuat;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use super::container::Bin;
 use super::extension::EXTRAS;
@@ -17,7 +17,7 @@ pub(super) const FPS: &str = "framesPerSecond";
 /// Key that marks the nodes of these cameras, so that a later path replaces them.
 const MARK: &str = "path";
 
-/// Properties of such a node besides its camera and mark.
+/// Properties of a node that only places something.
 const OWN: [&str; 5] = ["name", "rotation", "translation", "scale", "matrix"];
 
 /// Whether a node carries this mark.
@@ -92,17 +92,13 @@ fn take_out(document: &mut Value) -> Vec<usize> {
                     object.remove("extras");
                 }
             }
-            if !object.keys().any(|key| !OWN.contains(&&key[..])) {
+            if is_bare(object) {
                 nodes.push(i);
                 *node = json!({});
             }
         }
     }
-    let gone: HashSet<u64> = nodes.iter().map(|i| *i as u64).collect();
-    let is_gone = |index: &Value| index.as_u64().is_some_and(|i| gone.contains(&i));
-    for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
-        items(document, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
-    }
+    unlist(document, &nodes.iter().map(|i| *i as u64).collect());
     // Cameras that another program uses in other nodes are kept.
     let used: HashSet<u64> = items(document, "nodes").iter().filter_map(camera_of).collect();
     cameras.retain(|camera| !used.contains(camera));
@@ -121,6 +117,19 @@ fn take_out(document: &mut Value) -> Vec<usize> {
     }
     retain(document, "animations", |_, animation| !of_ours(animation, FPS) && animation.get("channels").is_some());
     nodes
+}
+
+/// Whether a node places nothing.
+pub(super) fn is_bare(node: &Map<String, Value>) -> bool {
+    node.keys().all(|key| OWN.contains(&&key[..]))
+}
+
+/// Removes nodes from the lists of scenes and of other nodes.
+pub(super) fn unlist(document: &mut Value, gone: &HashSet<u64>) {
+    let is_gone = |index: &Value| index.as_u64().is_some_and(|i| gone.contains(&i));
+    for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
+        items(document, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
+    }
 }
 
 /// Array under `key`.

@@ -19,7 +19,7 @@ use super::lift::{Asset, give_scene};
 use super::motion::Clip;
 use super::moving::Moving;
 use super::remainder::{Remnant, Role, has_extras, remainder};
-use super::shot::{items, retain};
+use super::shot::{is_bare, items, retain, unlist};
 use super::transform::is_ours;
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
@@ -494,10 +494,15 @@ fn move_view(view: &mut Value, places: &[(usize, usize)]) {
     }
 }
 
-/// Removes all cameras, channels of animations that point to them, and animations that are left with none.
-fn remove_cameras(root: &mut Value) {
-    for node in items(root, "nodes") {
-        node.as_object_mut().map(|node| node.remove("camera"));
+/// Removes all cameras, channels of animations that point to them, animations that are left with none, and nodes that
+/// only placed a camera.
+pub(super) fn remove_cameras(root: &mut Value) {
+    let mut idle = HashSet::new();
+    for (i, node) in (0..).zip(items(root, "nodes")) {
+        let Some(node) = node.as_object_mut() else { continue };
+        if node.remove("camera").is_some() && is_bare(node) {
+            idle.insert(i);
+        }
     }
     root.as_object_mut().map(|root| root.remove("cameras"));
     let (mut is_used, mut was_used) = (false, false);
@@ -511,6 +516,37 @@ fn remove_cameras(root: &mut Value) {
         for key in ["extensionsUsed", "extensionsRequired"] {
             retain(root, key, |_, name| name != ANIMATION_POINTER);
         }
+    }
+    remove_nodes(root, idle);
+}
+
+/// Removes those of these nodes to which neither skins nor animations refer. Those before others keep their place in
+/// the document, empty and in no scene, since others are referenced by index.
+fn remove_nodes(root: &mut Value, mut idle: HashSet<u64>) {
+    for skin in items(root, "skins") {
+        let joints = skin.get("joints").and_then(Value::as_array).into_iter().flatten();
+        for joint in joints.chain(skin.get("skeleton")).filter_map(Value::as_u64) {
+            idle.remove(&joint);
+        }
+    }
+    for channel in items(root, "animations").iter_mut().flat_map(|animation| items(animation, "channels")) {
+        let pointed = animated_property(channel).and_then(|pointer| pointer.strip_prefix("/nodes/")?.split('/').next());
+        let target = channel.pointer("/target/node").and_then(Value::as_u64);
+        if let Some(node) = target.or_else(|| pointed?.parse().ok()) {
+            idle.remove(&node);
+        }
+    }
+    unlist(root, &idle);
+    let Some(nodes) = root.get_mut("nodes").and_then(Value::as_array_mut) else { return };
+    for (i, node) in (0..).zip(nodes.iter_mut()) {
+        if idle.contains(&i) {
+            *node = json!({});
+        }
+    }
+    let used = (0..nodes.len()).rposition(|i| !idle.contains(&(i as u64))).map_or(0, |last| last + 1);
+    nodes.truncate(used);
+    if used == 0 {
+        root.as_object_mut().map(|root| root.remove("nodes"));
     }
 }
 

@@ -10,6 +10,7 @@ use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
 use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, SPECULAR_GLOSSINESS};
 use super::remainder::remainder;
+use super::source::remove_cameras;
 use super::tests::{fuzzed_values, leaves};
 use super::*;
 use crate::base64;
@@ -312,6 +313,32 @@ fn what_animates_cameras_goes_with_them() {
     let animations = json["animations"].as_array().unwrap();
     assert_eq!((animations.len(), &animations[0]["channels"]), (1, &json!([other])));
     assert_eq!(json["extensionsUsed"], json!(["EXT_unknown"]));
+}
+
+/// Nodes that others refer to stay, as do the indices of all.
+#[test]
+fn nodes_that_only_placed_cameras_go_with_them() {
+    let camera = || json!({ "camera": 0, "name": "view", "translation": [1, 2, 3] });
+    let mut holder = camera();
+    holder["extras"] = json!(1);
+    let mut root = json!({
+        "scenes": [{ "nodes": [0, 1, 2, 3] }],
+        "nodes": [camera(), { "children": [4, 5], "name": "rig" }, camera(), holder, camera(), camera(), camera()],
+        "cameras": [{ "type": "perspective", "perspective": { "yfov": 1, "znear": 1 } }],
+        "skins": [{ "joints": [2] }],
+        "animations": [{ "samplers": [{}], "channels": [{ "sampler": 0, "target": { "node": 4, "path": "scale" } }] }],
+    });
+    remove_cameras(&mut root);
+    let place = json!({ "name": "view", "translation": [1, 2, 3] });
+    holder = place.clone();
+    holder["extras"] = json!(1);
+    let rig = json!({ "children": [4], "name": "rig" });
+    assert_eq!(root["nodes"], json!([{}, rig, place, holder, place]));
+    assert_eq!(root["scenes"], json!([{ "nodes": [1, 2, 3] }]));
+    assert!(root.get("cameras").is_none());
+    let mut alone = json!({ "scenes": [{ "nodes": [0] }], "nodes": [camera()], "cameras": [{}] });
+    remove_cameras(&mut alone);
+    assert_eq!(alone, json!({ "scenes": [{}] }));
 }
 
 /// In other documents the scene is written anew, which every reader accepts.
