@@ -53,6 +53,7 @@ mod motion;
 pub(super) mod moving;
 #[cfg(test)]
 mod moving_tests;
+mod nodes;
 mod notes;
 mod pose;
 mod read;

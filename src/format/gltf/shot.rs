@@ -1,12 +1,13 @@
 //! Animated cameras in a document.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 
 use glam::DQuat;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::container::Bin;
 use super::extension::EXTRAS;
+use super::nodes::{is_bare, items, needed, retain, unlist};
 use super::write::{FLOAT, camera_and_node, node_rotation};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, NAME};
 use crate::scene::Camera;
@@ -16,9 +17,6 @@ pub(super) const FPS: &str = "framesPerSecond";
 
 /// Key that marks the nodes of these cameras, so that a later path replaces them.
 const MARK: &str = "path";
-
-/// Properties of a node that only places something.
-const OWN: [&str; 5] = ["name", "rotation", "translation", "scale", "matrix"];
 
 /// Whether a node carries this mark.
 pub(super) fn is_marked(node: &gltf::Node<'_>) -> bool {
@@ -43,6 +41,7 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
         push(document, "cameras", optics);
         let at = match vacant.next() {
             Some(at) => {
+                let at = at as usize;
                 document["nodes"][at] = node;
                 at
             }
@@ -74,16 +73,17 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
 }
 
 /// Removes a path of ours from a document. Returns its nodes, emptied and removed from all lists but not deleted,
-/// because other nodes are referenced by index. Nodes to which another program has attached something stay, in their
-/// rest pose, with it.
-fn take_out(document: &mut Value) -> Vec<usize> {
+/// because other nodes are referenced by index. Nodes to which another program has attached something, or refers, stay
+/// in their rest pose.
+pub(super) fn take_out(document: &mut Value) -> BTreeSet<u64> {
     let of_ours = |object: &Value, key: &str| object.pointer(&format!("/extras/{EXTRAS}/{key}")).is_some();
     let camera_of = |node: &Value| node.get("camera").and_then(Value::as_u64);
-    let (mut nodes, mut cameras, mut still) = (vec![], vec![], HashSet::new());
-    for (i, node) in items(document, "nodes").iter_mut().enumerate() {
+    let needed = needed(document);
+    let (mut nodes, mut cameras, mut still) = (BTreeSet::new(), vec![], HashSet::new());
+    for (i, node) in (0..).zip(items(document, "nodes")) {
         if of_ours(node, MARK) {
             cameras.extend(camera_of(node));
-            still.insert(i as u64);
+            still.insert(i);
             let Some(object) = node.as_object_mut() else { continue };
             object.remove("camera");
             if let Some(extras) = object.get_mut("extras").and_then(Value::as_object_mut) {
@@ -92,13 +92,13 @@ fn take_out(document: &mut Value) -> Vec<usize> {
                     object.remove("extras");
                 }
             }
-            if is_bare(object) {
-                nodes.push(i);
+            if is_bare(object) && !needed.contains(&i) {
+                nodes.insert(i);
                 *node = json!({});
             }
         }
     }
-    unlist(document, &nodes.iter().map(|i| *i as u64).collect());
+    unlist(document, &nodes);
     // Cameras that another program uses in other nodes are kept.
     let used: HashSet<u64> = items(document, "nodes").iter().filter_map(camera_of).collect();
     cameras.retain(|camera| !used.contains(camera));
@@ -117,34 +117,6 @@ fn take_out(document: &mut Value) -> Vec<usize> {
     }
     retain(document, "animations", |_, animation| !of_ours(animation, FPS) && animation.get("channels").is_some());
     nodes
-}
-
-/// Whether a node places nothing.
-pub(super) fn is_bare(node: &Map<String, Value>) -> bool {
-    node.keys().all(|key| OWN.contains(&&key[..]))
-}
-
-/// Removes nodes from the lists of scenes and of other nodes.
-pub(super) fn unlist(document: &mut Value, gone: &HashSet<u64>) {
-    let is_gone = |index: &Value| index.as_u64().is_some_and(|i| gone.contains(&i));
-    for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
-        items(document, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
-    }
-}
-
-/// Array under `key`.
-pub(super) fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
-    object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
-}
-
-/// Keeps the wanted elements, by index and value, of the array under `key`; removes the array if it becomes empty.
-pub(super) fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
-    let Some(array) = object.get_mut(key).and_then(Value::as_array_mut) else { return };
-    let (mut index, count) = (0.., array.len());
-    array.retain(|item| index.next().is_some_and(|i| is_wanted(i, item)));
-    if array.is_empty() && count > 0 {
-        object.as_object_mut().map(|object| object.remove(key));
-    }
 }
 
 fn animation(

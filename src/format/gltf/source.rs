@@ -18,8 +18,9 @@ use super::image::media_type;
 use super::lift::{Asset, give_scene};
 use super::motion::Clip;
 use super::moving::Moving;
+use super::nodes::{channels, is_bare, items, needed, remove_nodes, retain};
 use super::remainder::{Remnant, Role, has_extras, remainder};
-use super::shot::{is_bare, items, retain, unlist};
+use super::shot::take_out;
 use super::transform::is_ours;
 use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
@@ -38,7 +39,7 @@ use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TUR
 /// | none | written as it is, with one buffer |
 /// | translated, rotated, scaled ([`Source::follow`]) | gets a node above the scene with the transform |
 /// | another composition | the composition is set, unless the document has none and has splats of several colour spaces, or splats and triangles in one mesh: readers accept neither with a composition, so the document is dropped |
-/// | all cameras left out | cameras are removed, and channels of `KHR_animation_pointer` that animate them |
+/// | all cameras left out | cameras are removed, nodes that only placed them, and what animates either |
 /// | cropped, thinned, fewer harmonics, joined, mirrored, other cameras | dropped: the scene is written anew, and [`Source::remainder`] lists what is lost. Copyright and the extras of asset, document and scene are kept |
 ///
 /// Equality with the scene as read is tested by fingerprints of its arrays.
@@ -494,10 +495,12 @@ fn move_view(view: &mut Value, places: &[(usize, usize)]) {
     }
 }
 
-/// Removes all cameras, channels of animations that point to them, animations that are left with none, and nodes that
-/// only placed a camera.
+/// Removes all cameras and paths of ours, nodes that only placed a camera, channels of animations that animate either,
+/// and animations that are left with none.
 pub(super) fn remove_cameras(root: &mut Value) {
-    let mut idle = HashSet::new();
+    let has_pointers = |root: &mut Value| channels(root).any(|channel| animated_property(channel).is_some());
+    let had_pointers = has_pointers(root);
+    let mut idle = take_out(root);
     for (i, node) in (0..).zip(items(root, "nodes")) {
         let Some(node) = node.as_object_mut() else { continue };
         if node.remove("camera").is_some() && is_bare(node) {
@@ -505,49 +508,21 @@ pub(super) fn remove_cameras(root: &mut Value) {
         }
     }
     root.as_object_mut().map(|root| root.remove("cameras"));
-    let (mut is_used, mut was_used) = (false, false);
+    let needed = needed(root);
+    idle.retain(|node| !needed.contains(node));
+    let is_idle = |node: &Value| node.as_u64().is_some_and(|node| idle.contains(&node));
     for animation in items(root, "animations") {
-        was_used |= items(animation, "channels").iter().any(animates_camera);
-        retain(animation, "channels", |_, channel| !animates_camera(channel));
-        is_used |= items(animation, "channels").iter().any(|channel| animated_property(channel).is_some());
+        retain(animation, "channels", |_, channel| {
+            !animates_camera(channel) && !channel.pointer("/target/node").is_some_and(is_idle)
+        });
     }
     retain(root, "animations", |_, animation| animation.get("channels").is_some());
-    if was_used && !is_used {
+    if had_pointers && !has_pointers(root) {
         for key in ["extensionsUsed", "extensionsRequired"] {
             retain(root, key, |_, name| name != ANIMATION_POINTER);
         }
     }
-    remove_nodes(root, idle);
-}
-
-/// Removes those of these nodes to which neither skins nor animations refer. Those before others keep their place in
-/// the document, empty and in no scene, since others are referenced by index.
-fn remove_nodes(root: &mut Value, mut idle: HashSet<u64>) {
-    for skin in items(root, "skins") {
-        let joints = skin.get("joints").and_then(Value::as_array).into_iter().flatten();
-        for joint in joints.chain(skin.get("skeleton")).filter_map(Value::as_u64) {
-            idle.remove(&joint);
-        }
-    }
-    for channel in items(root, "animations").iter_mut().flat_map(|animation| items(animation, "channels")) {
-        let pointed = animated_property(channel).and_then(|pointer| pointer.strip_prefix("/nodes/")?.split('/').next());
-        let target = channel.pointer("/target/node").and_then(Value::as_u64);
-        if let Some(node) = target.or_else(|| pointed?.parse().ok()) {
-            idle.remove(&node);
-        }
-    }
-    unlist(root, &idle);
-    let Some(nodes) = root.get_mut("nodes").and_then(Value::as_array_mut) else { return };
-    for (i, node) in (0..).zip(nodes.iter_mut()) {
-        if idle.contains(&i) {
-            *node = json!({});
-        }
-    }
-    let used = (0..nodes.len()).rposition(|i| !idle.contains(&(i as u64))).map_or(0, |last| last + 1);
-    nodes.truncate(used);
-    if used == 0 {
-        root.as_object_mut().map(|root| root.remove("nodes"));
-    }
+    remove_nodes(root, &idle);
 }
 
 /// Whether an animation channel animates a camera.

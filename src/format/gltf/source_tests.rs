@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::buffer::Buffer;
 use super::core_tests::{Builder, triangle};
-use super::extension::{EXTRAS, HYBRID, KHR_SPLATS, SPECULAR_GLOSSINESS};
+use super::extension::{ANIMATION_POINTER, EXTRAS, HYBRID, KHR_SPLATS, SPECULAR_GLOSSINESS};
 use super::remainder::remainder;
 use super::source::remove_cameras;
 use super::tests::{fuzzed_values, leaves};
@@ -315,30 +315,111 @@ fn what_animates_cameras_goes_with_them() {
     assert_eq!(json["extensionsUsed"], json!(["EXT_unknown"]));
 }
 
-/// Nodes that others refer to stay, as do the indices of all.
+/// Nodes that others refer to stay. What refers to nodes follows them, unless there may be more that does.
 #[test]
 fn nodes_that_only_placed_cameras_go_with_them() {
-    let camera = || json!({ "camera": 0, "name": "view", "translation": [1, 2, 3] });
-    let mut holder = camera();
-    holder["extras"] = json!(1);
-    let mut root = json!({
-        "scenes": [{ "nodes": [0, 1, 2, 3] }],
-        "nodes": [camera(), { "children": [4, 5], "name": "rig" }, camera(), holder, camera(), camera(), camera()],
-        "cameras": [{ "type": "perspective", "perspective": { "yfov": 1, "znear": 1 } }],
-        "skins": [{ "joints": [2] }],
-        "animations": [{ "samplers": [{}], "channels": [{ "sampler": 0, "target": { "node": 4, "path": "scale" } }] }],
-    });
-    remove_cameras(&mut root);
-    let place = json!({ "name": "view", "translation": [1, 2, 3] });
-    holder = place.clone();
-    holder["extras"] = json!(1);
-    let rig = json!({ "children": [4], "name": "rig" });
-    assert_eq!(root["nodes"], json!([{}, rig, place, holder, place]));
-    assert_eq!(root["scenes"], json!([{ "nodes": [1, 2, 3] }]));
-    assert!(root.get("cameras").is_none());
+    let place = || json!({ "name": "view", "translation": [1, 2, 3] });
+    let with = |mut node: Value, key: &str, value: Value| {
+        node[key] = value;
+        node
+    };
+    let camera = || with(place(), "camera", json!(0));
+    let of_path = with(camera(), "extras", json!({ EXTRAS: { "path": true } }));
+    let moves = |node: u64, path: &str| json!({ "sampler": 0, "target": { "node": node, "path": path } });
+    let points = |pointer: &str| {
+        let extensions = json!({ ANIMATION_POINTER: { "pointer": pointer } });
+        json!({ "sampler": 0, "target": { "path": "pointer", "extensions": extensions } })
+    };
+    let bound = |node: u64| {
+        let binding = json!({ HYBRID: { "binding": { "node": node } } });
+        json!([{ "primitives": [{ "extensions": { KHR_SPLATS: { "extensions": binding } } }] }])
+    };
+    let document = |extension: &str| {
+        json!({
+            "extensionsUsed": [ANIMATION_POINTER, HYBRID, KHR_SPLATS, extension],
+            "scenes": [{ "nodes": [0, 1, 2, 3, 8, 9] }],
+            "nodes": [
+                camera(), { "children": [4, 5, 6], "name": "rig" }, of_path, with(camera(), "extras", json!(1)), camera(),
+                camera(), camera(), camera(), { "mesh": 0, "skin": 0 }, of_path,
+            ],
+            "cameras": [{ "type": "perspective", "perspective": { "yfov": 1, "znear": 1 } }],
+            "meshes": bound(8),
+            "skins": [{ "joints": [2, 1], "skeleton": 1 }],
+            "animations": [
+                { "name": "view", "samplers": [{}], "channels": [moves(4, "scale"), moves(9, "translation")] },
+                { "samplers": [{}], "channels": [
+                    moves(5, "rotation"), moves(8, "rotation"), points("/nodes/6/rotation"), points("/nodes/8/weights/0"),
+                    points("/cameras/0/perspective/yfov"),
+                ] },
+            ],
+        })
+    };
+    for (extension, [rig, joint, held, pointed, mesh], nodes) in
+        [("KHR_materials_unlit", [0, 1, 2, 3, 4], 5), ("EXT_unknown", [1, 2, 3, 6, 8], 10)]
+    {
+        let mut root = document(extension);
+        remove_cameras(&mut root);
+        let mut expected = vec![json!({}); nodes];
+        for (at, node) in [
+            (rig, json!({ "children": [pointed], "name": "rig" })),
+            (joint, place()),
+            (held, with(place(), "extras", json!(1))),
+            (pointed, place()),
+            (mesh, json!({ "mesh": 0, "skin": 0 })),
+        ] {
+            expected[at] = node;
+        }
+        let channels = json!([
+            moves(mesh as u64, "rotation"),
+            points(&format!("/nodes/{pointed}/rotation")),
+            points(&format!("/nodes/{mesh}/weights/0")),
+        ]);
+        let expected = json!({
+            "extensionsUsed": [ANIMATION_POINTER, HYBRID, KHR_SPLATS, extension],
+            "scenes": [{ "nodes": [rig, joint, held, mesh] }],
+            "nodes": expected,
+            "meshes": bound(mesh as u64),
+            "skins": [{ "joints": [joint, rig], "skeleton": rig }],
+            "animations": [{ "samplers": [{}], "channels": channels }],
+        });
+        assert_eq!(root, expected, "{extension}");
+    }
     let mut alone = json!({ "scenes": [{ "nodes": [0] }], "nodes": [camera()], "cameras": [{}] });
     remove_cameras(&mut alone);
     assert_eq!(alone, json!({ "scenes": [{}] }));
+}
+
+/// In files of Centaur, the root comes after the cameras, and a path after the root.
+#[test]
+fn without_cameras_a_file_of_ours_is_as_if_it_never_had_any() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let scene = random_scene(4, 1, 1, 4);
+    let cameras = ["a", "b"].map(|name| (name.to_owned(), camera()));
+    write_glb(&at("bare.glb"), &scene, &[], None).unwrap();
+    write_glb(&at("views.glb"), &scene, &cameras, None).unwrap();
+    let path = CameraFile {
+        cameras: cameras.to_vec(),
+        fps: Some(9.0),
+        y_up: false,
+        times: vec![],
+        near: None,
+        images: None,
+        notes: vec![],
+    };
+    write_with_cameras(&at("path.glb"), &at("views.glb"), &path).unwrap();
+    assert!(opened(&at("path.glb")).0.get("animations").is_some());
+    let (bare, _) = opened(&at("bare.glb"));
+    for name in ["views.glb", "path.glb"] {
+        let file = read_file(&at(name), &KEEP).unwrap();
+        let options = WriteOptions { source: file.source.as_ref(), ..WriteOptions::default() };
+        let report = write_scene(&at("out.glb"), &file.scene, &options).unwrap();
+        assert!(report.loss.is_none() && report.notes.is_empty(), "{name}: {}, {:?}", report.loss, report.notes);
+        let (left, _) = opened(&at("out.glb"));
+        for key in ["nodes", "scenes", "cameras", "animations", "extensionsUsed"] {
+            assert_eq!(left.get(key), bare.get(key), "{name}: {key}");
+        }
+    }
 }
 
 /// In other documents the scene is written anew, which every reader accepts.
