@@ -129,7 +129,7 @@ pub struct LoadOptions {
     /// Size of the decoded pictures.
     pub downscale: Downscale,
     /// Image folder instead of `images`, such as `images_4`. For `transforms.json` it replaces a leading `images` in
-    /// the paths, or is put before paths of images that are in it.
+    /// the paths, or is put before paths without a folder, and before all others if images of some of them are in it.
     pub images: Option<String>,
     /// Apply masks: `masks/<name>.png`, `masks/<stem>.png` or `masks/<name>`, or the `mask_path` of a
     /// `transforms.json`. White is the object, or the only level besides black; transparent pixels count as black.

@@ -213,7 +213,16 @@ pub(super) fn parse(
     let in_folder = file.centaur.as_ref().and_then(|ours| ours.images.as_deref()).map(plain);
     // Ours name the folder of photographs, if they are those of its cameras: others may be distorted, or renders.
     let may_be_below = file.centaur.is_none();
-    let image_of = |name: &Path, images: Option<&str>| find_image(root, name, images, may_be_below);
+    let whole_of = |name: &Path| find_image(root, name, may_be_below);
+    let folder = options.images.as_ref().map(|images| root.join(images));
+    let are_there = folder.as_ref().is_some_and(|folder| {
+        let is_there = |name: &Path| !name.starts_with("images") && with_suffix(&folder.join(name)).is_some();
+        names.iter().any(|name| inside(path, "/frames", name).is_ok_and(is_there))
+    });
+    let image_of = |name: &Path| match &folder {
+        Some(folder) => find_in(folder, root, name, are_there),
+        None => whole_of(name),
+    };
     let frames = file
         .frames
         .par_iter()
@@ -223,7 +232,7 @@ pub(super) fn parse(
             let file_path = plain(&fields.file_path);
             let at = format!("/frames/{i}");
             let (image, whole) = match (inside(path, &format!("{at}/file_path"), &file_path), photographs) {
-                (Ok(name), _) => (image_of(name, options.images.as_deref()), image_of(name, None)),
+                (Ok(name), _) => (image_of(name), whole_of(name)),
                 (Err(e), true) => return Err(e),
                 // Without photographs the name is only a label.
                 (Err(_), false) => (PathBuf::new(), PathBuf::new()),
@@ -261,12 +270,12 @@ pub(super) fn parse(
             })
         })
         .collect::<Result<Vec<Frame>, CaptureError>>()?;
-    if let (Some(folder), true) = (&options.images, photographs) {
-        let folder = root.join(folder);
+    if let (Some(folder), true) = (&folder, photographs) {
+        let listed = file.frames.iter().filter(|fields| is_listed(&plain(&fields.file_path)));
         // Photographs of other folders would keep their size, beside smaller ones.
-        if let Some(other) = frames.iter().find(|frame| !frame.image.starts_with(&folder)) {
+        if let Some((other, fields)) = frames.iter().zip(listed).find(|(frame, _)| !frame.image.starts_with(folder)) {
             let expected = "a path that begins with images/, so that --images can replace that folder";
-            return Err(CaptureError::invalid(path, format!("{}/file_path", other.at), expected, &other.name));
+            return Err(CaptureError::invalid(path, format!("{}/file_path", other.at), expected, &fields.file_path));
         }
     }
     let points = match &file.ply_file_path {
@@ -289,21 +298,26 @@ fn without(folder: Option<&str>, path: String) -> String {
     }
 }
 
-/// File of an image: with `images` replaced by the given folder, and a suffix added if the name has none. The file of
-/// a name that does not begin with `images` may lie in the given folder, or, where there is none beside the list and
-/// `may_be_below` it, in `images`.
-fn find_image(root: &Path, name: &Path, images: Option<&str>, may_be_below: bool) -> PathBuf {
-    let folder = root.join(images.unwrap_or("images"));
-    if let Ok(rest) = name.strip_prefix("images") {
-        let path = folder.join(rest);
-        return with_suffix(&path).unwrap_or(path);
-    }
-    let (beside, below) = (root.join(name), folder.join(name));
-    let found = match images {
-        Some(_) => with_suffix(&below).or_else(|| with_suffix(&beside)),
-        None => with_suffix(&beside).or_else(|| with_suffix(&below).filter(|_| may_be_below)),
+/// File of an image, with a suffix added if the name has none. Where there is none beside the list and `may_be_below`
+/// it, that of a name that does not begin with `images` may lie in `images`.
+fn find_image(root: &Path, name: &Path, may_be_below: bool) -> PathBuf {
+    let beside = root.join(name);
+    let may_be_below = may_be_below && !name.starts_with("images");
+    let below = || with_suffix(&root.join("images").join(name)).filter(|_| may_be_below);
+    with_suffix(&beside).or_else(below).unwrap_or(beside)
+}
+
+/// Same as [`find_image`], with `images` replaced by the given folder. Other names are those of files in that folder if
+/// they are without a folder, or if some of them `are_there`.
+fn find_in(folder: &Path, root: &Path, name: &Path, are_there: bool) -> PathBuf {
+    let beside = root.join(name);
+    let is_bare = name.components().nth(1).is_none();
+    let file = match name.strip_prefix("images") {
+        Ok(rest) => folder.join(rest),
+        Err(_) if (is_bare || are_there) && !beside.starts_with(folder) => folder.join(name),
+        Err(_) => beside,
     };
-    found.unwrap_or(beside)
+    with_suffix(&file).unwrap_or(file)
 }
 
 /// The file at this path, else one with a suffix appended, if there is one.

@@ -421,6 +421,33 @@ fn another_folder_takes_the_place_of_all_images_or_of_none() {
     }
 }
 
+/// The list is in order: a file is not there.
+#[test]
+fn missing_images_of_another_folder_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    write_transforms(root, 0.0);
+    std::fs::create_dir_all(root.join("small/left")).unwrap();
+    for name in ["0.png", "left/0.png"] {
+        std::fs::copy(root.join("0.png"), root.join("small").join(name)).unwrap();
+    }
+    let small = LoadOptions { images: Some("small".to_owned()), ..full() };
+    let text = std::fs::read_to_string(root.join("transforms.json")).unwrap();
+    let text = text.replace(r#""fl_x":8"#, r#""fl_x":8,"w":8,"h":8"#);
+    for (before, file) in [("", "small/1.png"), ("left/", "small/left/1.png"), ("small/", "small/1.png")] {
+        let named = text.replace(r#""file_path":""#, &format!(r#""file_path":"{before}"#));
+        std::fs::write(root.join("transforms.json"), named).unwrap();
+        let missing = message(root, &small).replace('\\', "/");
+        assert!(missing.ends_with(&format!(": 1 of 2 images missing, the first is {file}")), "{missing}");
+    }
+    // Of files in none of these folders the path is said as it is listed, also where names are without its beginning.
+    let named = text.replace(r#""file_path":""#, r#""file_path":"./a/b/"#);
+    let ours = named.replace(r#""frames""#, r#""centaur":{"images":"a"},"frames""#);
+    std::fs::write(root.join("transforms.json"), ours).unwrap();
+    let refused = message(root, &small);
+    assert!(refused.contains("/frames/0/file_path: ") && refused.ends_with(" found ./a/b/0.png"), "{refused}");
+}
+
 /// As nerfstudio lays captures out, where a list leaves out the folder.
 #[test]
 fn photographs_may_lie_in_their_usual_folder() {

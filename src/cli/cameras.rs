@@ -43,7 +43,7 @@ The name of OUT determines the format:
                  to world, with OpenGL axes (x right, y up, z backwards). Also stores `fps` and,
                  under `centaur`, whether the world is y up, which Centaur reads back. `convert`
                  names photographs that are without distortion by their paths from OUT, if they lie
-                 below its folder, else as images/NAME: copied there, they make OUT a capture
+                 below its folder, else by paths in images/: copied there, they make OUT a capture
   .glb, .gltf    one animated camera, y up; the world of a capture (y down) is rotated by 180
                  degrees about x, as in scenes of Centaur, so that both match in Blender. Exact
                  intrinsics are in `extras`

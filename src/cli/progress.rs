@@ -279,7 +279,7 @@ mod tests {
 
     use super::*;
 
-    /// Terminal that keeps the lines that were drawn.
+    /// Terminal that keeps the lines that were drawn, and empty ones where it was cleared.
     #[derive(Clone, Debug, Default)]
     struct Screen(Arc<Mutex<Vec<String>>>);
 
@@ -317,6 +317,7 @@ mod tests {
         }
 
         fn clear_line(&self) -> io::Result<()> {
+            self.0.lock().unwrap().push(String::new());
             Ok(())
         }
 
@@ -325,8 +326,8 @@ mod tests {
         }
     }
 
-    /// Lines drawn of a run with these phases, from its report `from` on.
-    fn drawn(phases: &[(Phase, u32)], from: usize) -> Vec<String> {
+    /// Lines drawn of a run with these phases, from its report `from` on, and what is left of them at its end.
+    fn drawn(phases: &[(Phase, u32)], from: usize) -> (Vec<String>, String) {
         let screen = Screen::default();
         let target = ProgressDrawTarget::term_like(Box::new(screen.clone()));
         let bar = ProgressBar::with_draw_target(Some(0), target);
@@ -338,14 +339,17 @@ mod tests {
         }
         reporter.finish();
         let mut lines = std::mem::take(&mut *screen.0.lock().unwrap());
+        let left = lines.last().cloned().unwrap_or_default();
+        lines.retain(|line| !line.is_empty());
         lines.dedup();
-        lines
+        (lines, left)
     }
 
     #[test]
     fn a_bar_is_of_one_phase_and_what_is_between_them_is_said() {
         let phases = [(Phase::Surface, 20), (Phase::Warmup, 30), (Phase::Joint, 20)];
-        let lines = drawn(&phases, 0);
+        let (lines, left) = drawn(&phases, 0);
+        assert_eq!(lines.last(), Some(&left));
         let is_report = |line: &&String| ["surface ", "maps ", "training "].iter().any(|label| line.starts_with(label));
         let reports: Vec<&String> = lines.iter().filter(is_report).collect();
         let expected = [
@@ -370,7 +374,7 @@ mod tests {
     /// Nothing is judged of a given mesh, and no surface is made without one.
     #[test]
     fn a_run_is_said_to_do_what_it_does() {
-        let lines = |phases: &[(Phase, u32)]| drawn(phases, 0).join("\n");
+        let lines = |phases: &[(Phase, u32)]| drawn(phases, 0).0.join("\n");
         let given = lines(&[(Phase::Warmup, 10), (Phase::Joint, 10)]);
         assert!(given.contains("adding the splats") && !given.contains("judging"), "{given}");
         let splats = lines(&[(Phase::Joint, 10)]);
@@ -379,8 +383,8 @@ mod tests {
 
     #[test]
     fn a_run_that_ends_before_its_first_report_leaves_no_bar() {
-        let lines = drawn(&[(Phase::Joint, 10)], 1);
-        assert!(lines.iter().all(|line| line.contains("starting")), "{lines:?}");
+        let (lines, left) = drawn(&[(Phase::Joint, 10)], 1);
+        assert!(lines.iter().all(|line| line.contains("starting")) && left.is_empty(), "{lines:?}, left: {left}");
     }
 
     /// If all iterations before the stop counted as done in no time, the estimate for the resumed run would be too

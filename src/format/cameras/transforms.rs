@@ -18,7 +18,7 @@ pub(in crate::format) fn write(
     CameraFile { cameras, fps, y_up, images, .. }: &CameraFile,
 ) -> Result<u64, FormatError> {
     spare(path)?;
-    let folder = images.as_deref().map(|images| place_of_images(path, images));
+    let folder = images.as_deref().map(|images| place_of_images(path, images, cameras));
     let names: Vec<String> = match &folder {
         Some(_) => cameras.iter().map(|(name, _)| name.clone()).collect(),
         None => image_names(cameras),
@@ -62,13 +62,14 @@ pub(in crate::format) fn write(
     Ok(text.len() as u64)
 }
 
-/// Folder with which paths of photographs in the folder `images` begin, separated by `/`: relative to the file at
-/// `path` where they lie below its folder, else `images`, as nerfstudio's captures have it, if it is called so; or empty.
-fn place_of_images(path: &Path, images: &Path) -> String {
+/// Folder with which paths of the cameras' photographs, which are in the folder `images`, begin, separated by `/`:
+/// relative to the file at `path` where they lie below its folder, else `images`, as nerfstudio's captures have it. Empty
+/// where they are beside the file, or have names that begin with `images/`.
+fn place_of_images(path: &Path, images: &Path, cameras: &[(String, Camera)]) -> String {
     let real = real_path(folder_of(path)).ok().zip(real_path(images).ok());
     let below = real.as_ref().and_then(|(folder, images)| images.strip_prefix(folder).ok());
-    let is_usual = || images.file_name().is_some_and(|name| name == "images");
-    let folder = below.unwrap_or_else(|| Path::new(if is_usual() { "images" } else { "" }));
+    let is_stated = || cameras.iter().all(|(name, _)| name.starts_with("images/"));
+    let folder = below.unwrap_or_else(|| Path::new(if is_stated() { "" } else { "images" }));
     let parts = folder.components().filter_map(|part| match part {
         Component::Normal(name) => Some(name.to_string_lossy()),
         _ => None,

@@ -6,10 +6,11 @@ use gltf::texture::WrappingMode;
 
 use super::Breach;
 use super::document::Value;
+use super::inherited::{COLORS, OPACITIES};
 use super::maps::{self, Mismatch};
 use super::names;
 use super::package::Place;
-use super::primvar::{COLORS, OPACITIES, Primvar};
+use super::primvar::Means;
 use super::stage::{Placed, Source, Stage};
 use crate::format::activation;
 use crate::format::error::Fault;
@@ -17,7 +18,7 @@ use crate::format::gltf::{Texels, Unrolling, UvMap, decode};
 use crate::format::map_budget::{Identity, MapBudget};
 use crate::scene::{Atlas, ColorSpace, Texture, color, sh};
 
-/// Context for reading maps.
+/// Context for reading maps of the meshes of one stage.
 pub(super) struct Materials<'a> {
     /// Location of the files.
     pub(super) place: &'a mut Place,
@@ -27,6 +28,9 @@ pub(super) struct Materials<'a> {
     pub(super) unrolling: Unrolling,
     /// Budget for the maps of all meshes.
     budget: MapBudget,
+    /// Colours and opacities of meshes without a shader.
+    colors: Means<3>,
+    opacities: Means<1>,
 }
 
 /// Value over a surface: RGB, or one number three times.
@@ -116,7 +120,8 @@ const DIFFUSE: &str = "inputs:diffuseColor";
 
 impl<'a> Materials<'a> {
     pub(super) fn new(place: &'a mut Place, space: ColorSpace) -> Self {
-        Self { place, space, unrolling: Unrolling::default(), budget: MapBudget::new(0) }
+        let (colors, opacities) = (Means::new(COLORS), Means::new(OPACITIES));
+        Self { place, space, unrolling: Unrolling::default(), budget: MapBudget::new(0), colors, opacities }
     }
 
     /// Maps of the faces of a mesh with one material, and their mapping to it.
@@ -184,8 +189,7 @@ impl<'a> Materials<'a> {
 
     /// Maps of a mesh without a shader: one texel of the mean of its colours and opacities.
     fn displayed(&mut self, stage: &Stage<'_>, mesh: &Placed, notes: &mut Vec<String>) -> Result<Atlas, Fault> {
-        let colors = Primvar::<3>::inherited(stage, mesh, COLORS)?.and_then(|colors| colors.mean());
-        let opacities = Primvar::<1>::inherited(stage, mesh, OPACITIES)?.and_then(|opacities| opacities.mean());
+        let (colors, opacities) = (self.colors.of(stage, mesh)?, self.opacities.of(stage, mesh)?);
         let differ = colors.is_some_and(|(_, differ)| differ) || opacities.is_some_and(|(_, differ)| differ);
         let (at, which) = (stage.path(mesh.prim), if differ { ", the mean of several" } else { "" });
         notes.push(format!("{at}: has no UsdPreviewSurface and is shown in one colour{which}"));

@@ -33,6 +33,7 @@ mod extent;
 mod foreign;
 mod frame;
 mod from_scene;
+mod inherited;
 mod lex;
 mod maps;
 #[cfg(test)]

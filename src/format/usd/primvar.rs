@@ -1,39 +1,11 @@
 //! Primvars: values of the elements of a prim, also as indices into a shorter list, and constant ones for all prims
 //! below.
 
-use super::document::Prim;
+use std::collections::HashMap;
+
+use super::inherited::interpolation;
 use super::stage::{Placed, Stage};
 use crate::format::error::Fault;
-
-/// Colours and opacities of meshes without a material.
-pub(super) const COLORS: &str = "primvars:displayColor";
-pub(super) const OPACITIES: &str = "primvars:displayOpacity";
-/// Joints with which the points of a mesh move, and where these points were when they were bound to them.
-pub(super) const JOINTS: &str = "primvars:skel:jointIndices";
-pub(super) const BIND_TRANSFORM: &str = "primvars:skel:geomBindTransform";
-
-/// Primvars that are looked for above a prim, too.
-const INHERITED: [&str; 4] = [COLORS, OPACITIES, JOINTS, BIND_TRANSFORM];
-
-/// Prims from which those below inherit each of [`INHERITED`].
-#[derive(Clone, Copy, Default)]
-pub(super) struct Constants([Option<usize>; INHERITED.len()]);
-
-impl Constants {
-    /// Prims from which those below `prim` inherit, given those from which it inherits itself. Only constant primvars
-    /// are inherited; others hide those above.
-    pub(super) fn below(self, stage: &Stage<'_>, prim: usize) -> Self {
-        let here = stage.prims[prim];
-        Self(std::array::from_fn(|i| match here.value(INHERITED[i]) {
-            None => self.0[i],
-            Some(_) => (interpolation(here, INHERITED[i]) == CONSTANT).then_some(prim),
-        }))
-    }
-
-    fn of(self, name: &str) -> Option<usize> {
-        INHERITED.iter().position(|inherited| *inherited == name).and_then(|i| self.0[i])
-    }
-}
 
 /// Prim that has the primvar `name`, one of [`INHERITED`], of a placed prim: that itself, or one above.
 pub(super) fn holder(stage: &Stage<'_>, placed: &Placed, name: &str) -> Option<usize> {
@@ -59,11 +31,6 @@ impl<'a, const N: usize> Primvar<'a, N> {
         Ok(Some(Self { at: format!("{}.{name}", stage.path(prim)), values, interpolation, indices }))
     }
 
-    /// Same as [`Self::of`], for a primvar that a prim may inherit.
-    pub(super) fn inherited(stage: &Stage<'a>, placed: &Placed, name: &str) -> Result<Option<Self>, Fault> {
-        holder(stage, placed, name).map_or(Ok(None), |prim| Self::of(stage, prim, name))
-    }
-
     /// Value at a corner.
     pub(super) fn at(&self, corner: usize, vertex: u32, face: usize) -> Result<[f32; N], Fault> {
         let index = match self.interpolation {
@@ -84,7 +51,7 @@ impl<'a, const N: usize> Primvar<'a, N> {
 
     /// Mean over all elements, each as often as it is used, and whether they differ; `None` if there are none. Leaves
     /// out indices beyond the values, and values that are not finite.
-    pub(super) fn mean(&self) -> Option<([f32; N], bool)> {
+    fn mean(&self) -> Option<Mean<N>> {
         let all = (0..self.indices.as_ref().map_or(self.values.len(), Vec::len)).filter_map(|element| {
             let place = self.indices.as_ref().map_or(element, |indices| indices[element] as usize);
             self.values.get(place).filter(|value| value.iter().all(|v| v.is_finite()))
@@ -100,15 +67,72 @@ impl<'a, const N: usize> Primvar<'a, N> {
     }
 }
 
-const CONSTANT: &str = "constant";
+/// Mean of a primvar, and whether its elements differ.
+pub(super) type Mean<const N: usize> = ([f32; N], bool);
 
-fn interpolation<'a>(prim: &'a Prim, name: &str) -> &'a str {
-    prim.stated(name, "interpolation").unwrap_or(CONSTANT)
+/// Means of the primvar of one name, by the prim of a stage that has it. Each is taken once, because many prims may
+/// inherit one long array.
+pub(super) struct Means<const N: usize> {
+    name: &'static str,
+    known: HashMap<usize, Option<Mean<N>>>,
+}
+
+impl<const N: usize> Means<N> {
+    /// Means of the primvar `name`, one of [`INHERITED`].
+    pub(super) fn new(name: &'static str) -> Self {
+        Self { name, known: HashMap::new() }
+    }
+
+    /// Mean of the primvar that a placed prim has or inherits; `None` if there is none, or if it is of no elements.
+    pub(super) fn of(&mut self, stage: &Stage<'_>, placed: &Placed) -> Result<Option<Mean<N>>, Fault> {
+        let Some(prim) = holder(stage, placed, self.name) else { return Ok(None) };
+        if let Some(mean) = self.known.get(&prim) {
+            return Ok(*mean);
+        }
+        let mean = Primvar::<N>::of(stage, prim, self.name)?.and_then(|primvar| primvar.mean());
+        self.known.insert(prim, mean);
+        Ok(mean)
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DMat4;
+
+    use super::super::document::Layer;
+    use super::super::inherited::{COLORS, Constants};
+    use super::super::parse::parse;
     use super::*;
+
+    /// Otherwise a file could take time in proportion to its meshes times the values above them.
+    #[test]
+    fn means_of_what_prims_inherit_are_taken_once() {
+        let layer = |red: &str| {
+            let text = format!(
+                r#"#usda 1.0
+def Xform "above" {{
+    color3f[] primvars:displayColor = [({red}, 0, 0), (1, 0, 0)] ( interpolation = "constant" )
+    def Mesh "a" {{}}
+    def Mesh "b" {{}}
+    def Mesh "c" {{ color3f[] primvars:displayColor = [(0, 0.25, 0)] }}
+}}
+"#
+            );
+            parse(text.as_bytes()).unwrap()
+        };
+        let mut means = Means::<3>::new(COLORS);
+        let mut mean_of = |layer: &Layer, prim: usize| {
+            let stage = Stage::new(layer);
+            let constants = Constants::default().below(stage.prims[0], 0);
+            let placed = Placed { prim, transform: DMat4::IDENTITY, binding: None, skeleton: None, constants };
+            means.of(&stage, &placed).unwrap()
+        };
+        let (first, other) = (layer("0"), layer("0.5"));
+        assert_eq!(mean_of(&first, 1), Some(([0.5, 0.0, 0.0], true)));
+        // The same prim with other values shows that they are not read again.
+        assert_eq!(mean_of(&other, 2), Some(([0.5, 0.0, 0.0], true)));
+        assert_eq!(mean_of(&first, 3), Some(([0.0, 0.25, 0.0], false)));
+    }
 
     #[test]
     fn means_are_of_the_elements_that_there_are() {

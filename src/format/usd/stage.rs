@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use glam::DMat4;
 
 use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
-use super::primvar::Constants;
+use super::inherited::Constants;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
 

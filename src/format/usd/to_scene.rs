@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use glam::{DMat4, DVec3};
 
 use super::document::{Layer, Prim, Property, PropertyKind, Specifier, Value, field};
+use super::inherited::{BIND_TRANSFORM, Constants, JOINTS};
 use super::materials::Materials;
 use super::package::Place;
-use super::primvar::{BIND_TRANSFORM, Constants, JOINTS, holder};
+use super::primvar::holder;
 use super::stage::{Placed, Stage};
 use super::{foreign, frame, names, splats, surfaces, views, xform};
 use crate::format::activation::layers;
@@ -192,7 +193,7 @@ pub(super) fn place_all(stage: &Stage<'_>, to_world: DMat4, left_out: &mut Count
             transform,
             binding: stage.binding(i).map(|own| own.below(above.binding)).or(above.binding),
             skeleton: stage.related(i, "skel:skeleton").or(above.skeleton),
-            constants: above.constants.below(stage, i),
+            constants: above.constants.below(prim, i),
         });
         drawn.push(is_drawn);
     }

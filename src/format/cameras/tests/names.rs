@@ -77,7 +77,7 @@ fn names_of_cameras_are_short() {
     );
 }
 
-/// Below the folder of the file as they lie, else as in captures of nerfstudio.
+/// Below the folder of the file as they lie, else as in captures of nerfstudio, whatever their folder is called.
 #[test]
 fn photographs_that_are_known_are_named_by_their_place() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,29 +85,26 @@ fn photographs_that_are_known_are_named_by_their_place() {
     for place in ["a/images", "a/photos", "b"] {
         std::fs::create_dir_all(at(place)).unwrap();
     }
-    let names = ["left/1 .jpg", "left/r_2"];
-    let cameras = names.map(|name| (name.to_owned(), shot(1, 0.0)[0].1)).to_vec();
-    for (images, out, expected) in [
-        ("a/images", "a/list.json", "images/left/1 .jpg"),
-        ("a/images", "all.json", "a/images/left/1 .jpg"),
-        ("a/images", "a/images/here.json", "left/1 .jpg"),
-        ("a/images", "b/transforms.json", "images/left/1 .jpg"),
-        ("a/photos", "b/transforms.json", "left/1 .jpg"),
+    for (images, names, out, expected) in [
+        ("a/images", ["left/1 .jpg", "left/r_2"], "a/list.json", "images/left/1 .jpg"),
+        ("a/images", ["left/1 .jpg", "left/r_2"], "all.json", "a/images/left/1 .jpg"),
+        ("a/images", ["left/1 .jpg", "left/r_2"], "a/images/here.json", "left/1 .jpg"),
+        ("a/images", ["left/1 .jpg", "left/r_2"], "b/transforms.json", "images/left/1 .jpg"),
+        ("a/photos", ["left/1 .jpg", "left/r_2"], "b/transforms.json", "images/left/1 .jpg"),
+        ("a", ["1.jpg", "2.jpg"], "b/transforms.json", "images/1.jpg"),
+        ("a", ["1.jpg", "2.jpg"], "a/list.json", "1.jpg"),
+        // As other programs list them.
+        ("a", ["images/1.jpg", "images/2.jpg"], "b/transforms.json", "images/1.jpg"),
+        ("a", ["images/1.jpg", "images/2.jpg"], "all.json", "a/images/1.jpg"),
     ] {
         let images = Some(at(images));
-        let file = CameraFile {
-            cameras: cameras.clone(),
-            fps: None,
-            y_up: false,
-            times: vec![],
-            near: None,
-            images,
-            notes: vec![],
-        };
+        let cameras = names.map(|name| (name.to_owned(), shot(1, 0.0)[0].1)).to_vec();
+        let file = CameraFile { cameras, fps: None, y_up: false, times: vec![], near: None, images, notes: vec![] };
         write_cameras(&at(out), &file).unwrap();
         let list: serde_json::Value = serde_json::from_slice(&std::fs::read(at(out)).unwrap()).unwrap();
         assert_eq!(list["frames"][0]["file_path"], expected, "{out}");
         let back = capture::cameras(&at(out), &LoadOptions::default()).unwrap();
         assert_eq!(back.cameras.iter().map(|(name, _)| &**name).collect::<Vec<_>>(), names, "{out}");
+        assert_eq!(back.images[0], at(out).with_file_name(expected), "{out}");
     }
 }

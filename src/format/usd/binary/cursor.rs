@@ -92,17 +92,18 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// Reads the items that a list edit adds or sets.
+    /// Reads the items that a list edit sets or adds, in the order of the list that it makes.
     pub(super) fn list_op(&mut self) -> Result<Vec<u32>, Fault> {
         let [flags] = *self.chunk()?;
-        let mut items = vec![];
-        // Explicit, added, prepended, appended; deleted and ordered follow, which are not read.
-        for flag in [1, 2, 5, 6] {
+        let mut lists: [Vec<u32>; 4] = Default::default();
+        // Deleted and ordered items follow, which are not read.
+        for (flag, items) in [1, 2, 5, 6].into_iter().zip(&mut lists) {
             if flags >> flag & 1 == 1 {
                 let count = self.count(4)?;
-                items.extend(self.indices(count)?);
+                *items = self.indices(count)?;
             }
         }
-        Ok(items)
+        let [explicit, added, prepended, appended] = lists;
+        Ok([explicit, prepended, added, appended].concat())
     }
 }

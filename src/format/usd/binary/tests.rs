@@ -84,6 +84,26 @@ fn what_is_no_layer_is_refused() {
     assert_eq!(refusal(&astray), message);
 }
 
+/// In the file, added items come before prepended ones.
+#[test]
+fn list_edits_lead_to_the_same_list_as_in_text() {
+    let list = |flags: u8, lists: &[&[u32]]| {
+        let mut bytes = vec![flags];
+        for items in lists {
+            bytes.extend((items.len() as u64).to_le_bytes());
+            bytes.extend(items.iter().flat_map(|item| item.to_le_bytes()));
+        }
+        Cursor::new(&bytes, 0).and_then(|mut cursor| cursor.list_op()).unwrap()
+    };
+    let [added, prepended, appended] = [1 << 2, 1 << 5, 1 << 6];
+    assert_eq!(list(added | prepended | appended, &[&[1], &[2, 3], &[4]]), [2, 3, 1, 4]);
+    assert_eq!(list(added | appended, &[&[1], &[4]]), [1, 4]);
+    assert_eq!(list(0b11, &[&[5, 6]]), [5, 6]);
+    let text = b"#usda 1.0\ndef \"a\" {\n    add rel r = </b>\n    prepend rel r = </c>\n    append rel r = </d>\n}\n";
+    let layer = crate::format::usd::parse::parse(text).unwrap();
+    assert_eq!(layer.prims[0].target("r"), Some("/c"));
+}
+
 /// If two entries named one path, the later would be the parent of its own ancestor, and walking up would never end.
 #[test]
 fn paths_that_are_no_tree_are_refused() {
