@@ -29,13 +29,20 @@ pub(crate) fn similarity(transform: DMat4) -> Option<Decomposed> {
     })
 }
 
+/// Length of the shortest half axis that a sphere has after a transform, relative to the longest, up to which the
+/// transform is flat: products of rotations and scales of 0 leave about 1e-16. `blender/motion.py` has the same limit.
+const FLAT: f64 = 1e-12;
+
 /// Orthogonal matrix nearest to the linear part of a transform, by which view dependence is rotated or mirrored; `None`
-/// if that part has no inverse.
+/// if the transform is flat.
 pub(crate) fn orthogonal(transform: DMat4) -> Option<DMat3> {
     if let Some(Decomposed { rotation, .. }) = similarity(transform) {
         return Some(DMat3::from_quat(rotation));
     }
     let linear = DMat3::from_mat4(transform);
+    if flattens(linear) {
+        return None;
+    }
     let mut unit = linear * linear.determinant().abs().cbrt().recip();
     // Newton's iteration for the polar decomposition, which halves lengths far from 1 and doubles the correct digits of
     // those near it.
@@ -45,15 +52,26 @@ pub(crate) fn orthogonal(transform: DMat4) -> Option<DMat3> {
     (unit.transpose() * unit).abs_diff_eq(DMat3::IDENTITY, 1e-9).then_some(unit)
 }
 
-/// Whether the linear part of a transform has no inverse: below it splats have no extent along an axis, and neither
-/// splats nor surfaces with view dependence are drawn.
+/// Whether the linear part of a transform has no inverse but for rounding: below it splats have no extent along an
+/// axis, and neither splats nor surfaces with view dependence are drawn.
 pub(crate) fn is_flat(transform: DMat4) -> bool {
     orthogonal(transform).is_none()
 }
 
+/// Whether an ellipsoid has no extent along an axis, relative to the longest, after a linear map.
+fn flattens(linear: DMat3) -> bool {
+    // Neither zero nor beyond the range of f64.
+    if !linear.determinant().is_normal() {
+        return true;
+    }
+    let largest = linear.to_cols_array().iter().fold(0.0, |largest: f64, v| largest.max(v.abs()));
+    let lengths = lengths(half_axes(linear * largest.recip()));
+    lengths.min_element() <= FLAT * lengths.max_element()
+}
+
 /// Applies a node's transform to some splats: means, shapes and spherical harmonics. With its linear part M a
-/// covariance Σ becomes M·Σ·Mᵀ, and harmonics are rotated by [`orthogonal`]. Returns false, and does nothing, if M has
-/// no inverse.
+/// covariance Σ becomes M·Σ·Mᵀ, and harmonics are rotated by [`orthogonal`]. Returns false, and does nothing, if the
+/// transform is flat.
 pub(crate) fn place(splats: &mut SplatArrays, these: Range<usize>, transform: DMat4) -> bool {
     if transform == DMat4::IDENTITY {
         return true;
@@ -87,7 +105,7 @@ fn stretched(linear: DMat3, rotation: Quat, log_scale: Vec3) -> (Quat, Vec3) {
     let parts = (log_scale.as_dvec3() - longest).exp().max(DVec3::splat(LEAST_PART));
     let axes = DMat3::from_quat(rotation.as_dquat().normalize()) * DMat3::from_diagonal(parts);
     let axes = half_axes(linear * size.recip() * axes);
-    let lengths = DVec3::new(axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length());
+    let lengths = lengths(axes);
     // The axes of an ellipsoid may all be negated.
     let unit = axes * DMat3::from_diagonal(axes.determinant().signum() / lengths);
     let log_scale = (lengths * size).to_array().map(|length| length.ln() + longest);
@@ -114,6 +132,11 @@ fn half_axes(conjugate: DMat3) -> DMat3 {
         }
     }
     DMat3::from_cols(columns[0], columns[1], columns[2])
+}
+
+/// Lengths of columns.
+fn lengths(columns: DMat3) -> DVec3 {
+    DVec3::new(columns.x_axis.length(), columns.y_axis.length(), columns.z_axis.length())
 }
 
 /// Rotates (or mirrors) the view dependence of some splats.
@@ -175,6 +198,23 @@ mod tests {
         }
         for flat in [DMat4::ZERO, DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))] {
             assert!(is_flat(flat) && !place(&mut some_splats(3), 0..3, flat));
+        }
+    }
+
+    /// Rounding leaves products that are flat an inverse of some 1e16; sizes do not matter.
+    #[test]
+    fn what_is_flat_is_so_however_it_is_turned() {
+        let turn = |a: f64| DMat3::from_quat(DQuat::from_euler(glam::EulerRot::YXZ, a, 2.0 * a + 0.3, 1.0 - 3.0 * a));
+        for i in 0..200 {
+            let (above, below) = (turn(0.1 * f64::from(i)), turn(0.37 * f64::from(i) + 1.0));
+            for size in [1e-30, 1.0, 1e30] {
+                let is_flat = |scale: [f64; 3]| {
+                    let scale = size * DVec3::from(scale);
+                    is_flat(DMat4::from_mat3(above * DMat3::from_diagonal(scale) * below))
+                };
+                assert!(is_flat([1.0, 0.0, 1.0]) && is_flat([0.0, 0.0, -2.0]) && is_flat([0.0; 3]), "{i} {size}");
+                assert!(!is_flat([1.0; 3]) && !is_flat([1.0, 1e-6, -1.0]) && !is_flat([1e-6, 1e-6, 1.0]), "{i} {size}");
+            }
         }
     }
 

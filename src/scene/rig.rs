@@ -87,8 +87,8 @@ pub struct AttachedSplats {
     pub splats: Range<usize>,
     /// Bone or triangles that they follow.
     pub anchor: Anchor,
-    /// Opacity logits, one per splat, of splats that the scene holds as hidden, because the transform of their bone is
-    /// flat in the rest pose.
+    /// Opacity logits, one per splat, of splats that the scene holds as hidden, because in the rest pose the transform
+    /// of their bone is flat, or some of their triangles have no area.
     pub hidden: Option<Vec<f32>>,
 }
 
@@ -241,13 +241,11 @@ impl Rig {
         let meshes = meshes.collect::<Result<Vec<_>, _>>()?;
         let mut splats = scene.splats.clone().into_arrays();
         self.reveal(&mut splats)?;
-        for AttachedSplats { splats: these, anchor, hidden } in &self.attached {
+        for AttachedSplats { splats: these, anchor, .. } in &self.attached {
             match anchor {
                 Anchor::Bone(bone) => self.follow_bone(&mut splats, these.clone(), *bone, pose, moved),
                 Anchor::Triangles(binding) => {
-                    // Hidden splats are on no triangle before they are posed.
-                    let rest = hidden.is_none().then_some(&scene.meshes[binding.surface]);
-                    let (surfaces, unmoved) = ((rest, &meshes[binding.surface]), by.rotation.inverse());
+                    let (surfaces, unmoved) = ((scene, &meshes[binding.surface]), by.rotation.inverse());
                     self.follow_triangles(&mut splats, these.start, binding, surfaces, pose, (moved, unmoved));
                 }
             }
@@ -339,7 +337,7 @@ impl Rig {
         splats: &mut SplatArrays,
         first: usize,
         binding: &Binding,
-        (rest, now): (Option<&Mesh>, &Mesh),
+        (rest, now): (&HybridScene, &Mesh),
         pose: &Pose,
         (moved, unmoved): (DMat4, DQuat),
     ) {
@@ -352,30 +350,29 @@ impl Rig {
         };
         for (j, &corners) in binding.corners.iter().enumerate() {
             let i = first + j;
-            let at = |mesh: &Mesh| corners.map(|v| mesh.positions().get(v as usize).copied());
-            let places = at(now);
-            let turned_by = if rest.is_some_and(|rest| places == at(rest)) {
+            let places = corners_of(now, corners);
+            let turned_by = if places == corners_of(&rest.meshes[binding.surface], corners) {
+                // Those on triangles without area are hidden as they rest.
+                splats.opacity_logits[i] = rest.splats.opacity_logits()[i];
                 bone_turn
-            } else {
-                let corners = places.map(|p| p.unwrap_or_default().as_dvec3());
-                let Some(frame) = Frame::of(corners) else {
-                    splats.opacity_logits[i] = HIDDEN;
-                    continue;
-                };
-                let rotation = DQuat::from_mat3(&frame.axes);
-                let mean = frame.size * (frame.axes * binding.translations[j].as_dvec3()) + frame.center;
-                splats.means[i] = mean.as_vec3();
-                splats.rotations[i] = (rotation * binding.rotations[j].as_dquat()).normalize().as_quat();
-                let log_scale = (frame.size * binding.scales[j].as_dvec3()).to_array().map(f64::ln);
-                splats.log_scales[i] = DVec3::from(log_scale).max(DVec3::splat(LEAST_LOG_SCALE)).as_vec3();
+            } else if let Some(frame) = Frame::of(places) {
+                let rotation = binding.place(j, &frame, splats, i);
                 match &binding.harmonics {
                     ShFrame::Bone(_) => bone_turn,
                     ShFrame::Triangles(turns) => DMat3::from_quat(rotation * turns[j] * unmoved),
                 }
+            } else {
+                splats.opacity_logits[i] = HIDDEN;
+                continue;
             };
             turn(splats, i..i + 1, turned_by);
         }
     }
+}
+
+/// Positions of a triangle's corners.
+fn corners_of(mesh: &Mesh, corners: [u32; 3]) -> [DVec3; 3] {
+    corners.map(|v| mesh.positions().get(v as usize).copied().unwrap_or_default().as_dvec3())
 }
 
 /// Log-scale for scales of 0, whose logarithm is not finite: that of the least normal f32.
@@ -397,6 +394,40 @@ fn below(what: &str, index: usize, count: usize) -> Result<(), SceneError> {
 }
 
 impl Binding {
+    /// Places splats that have no place of their own on their triangles of the mesh as it rests. View dependence that
+    /// follows the triangles is rotated with them, and `harmonics` is made to be relative to that. Splats
+    /// on triangles without area are hidden: if there are any, returns the opacities of all, as
+    /// [`AttachedSplats::hidden`] has them.
+    pub(crate) fn settle(&mut self, splats: &mut SplatArrays, mesh: &Mesh) -> Option<Vec<f32>> {
+        let opacities = splats.opacity_logits.clone();
+        let mut hides = false;
+        for (i, &corners) in self.corners.iter().enumerate() {
+            let Some(frame) = Frame::of(corners_of(mesh, corners)) else {
+                splats.opacity_logits[i] = HIDDEN;
+                hides = true;
+                continue;
+            };
+            let rotation = self.place(i, &frame, splats, i);
+            if let ShFrame::Triangles(turns) = &mut self.harmonics {
+                turn(splats, i..i + 1, DMat3::from_quat(rotation * turns[i]));
+                turns[i] = rotation.inverse();
+            }
+        }
+        hides.then_some(opacities)
+    }
+
+    /// Places splat `i`, the `j`-th that is bound, on a triangle of this frame, all but its view dependence; returns
+    /// the frame's rotation.
+    fn place(&self, j: usize, frame: &Frame, splats: &mut SplatArrays, i: usize) -> DQuat {
+        let rotation = DQuat::from_mat3(&frame.axes);
+        let mean = frame.size * (frame.axes * self.translations[j].as_dvec3()) + frame.center;
+        splats.means[i] = mean.as_vec3();
+        splats.rotations[i] = (rotation * self.rotations[j].as_dquat()).normalize().as_quat();
+        let log_scale = (frame.size * self.scales[j].as_dvec3()).to_array().map(f64::ln);
+        splats.log_scales[i] = DVec3::from(log_scale).max(DVec3::splat(LEAST_LOG_SCALE)).as_vec3();
+        rotation
+    }
+
     /// Checks that it binds this many splats to one of these surfaces.
     fn check(&self, splats: usize, surfaces: &[Option<RestSurface>], rest: &Pose) -> Result<(), SceneError> {
         below("surface", self.surface, surfaces.len())?;

@@ -4,6 +4,7 @@
 # `followed`.
 
 LINEAR = 1  # of the interpolations of a key
+FLAT = 1e-12  # the shortest axis to the longest, as `scene/placement.rs` has it
 
 
 def frame_count():
@@ -87,9 +88,8 @@ def move(thing, matrices):
 
 
 def to_bone(motion, bone):
-    """From where a thing on a bone rests to the space of the bone, [4, 4]; zeros where it has no extent as it rests."""
-    rest = motion["bones_rest"][bone]
-    return np.linalg.inv(rest) if abs(np.linalg.det(rest)) > 1e-30 else np.zeros((4, 4))
+    """From where a thing on a bone is held to the space of the bone, [4, 4]."""
+    return np.linalg.inv(motion["bones_rest"][bone])  # never of a flat bone: what is on one is held in its space
 
 
 def add_motion(collection, root, motion, has_path):
@@ -257,7 +257,7 @@ def followed(splats, root, data, depsgraph):
         mean[these] = mean[these] @ linear.T + matrix[:3, 3]
         axes[these], scale[these] = ellipsoids(linear @ (axes[these] * scale[these][:, None]))
         left, sizes, right = np.linalg.svd(linear)
-        is_flat = sizes[2] <= 1e-12 * sizes[0]
+        is_flat = sizes[2] <= FLAT * sizes[0]
         opacity[these] *= not is_flat
         turn[harmonics == thing["centaur bone"]] = np.eye(3) if is_flat else left @ right
     meshes = mesh_objects(root)

@@ -31,6 +31,11 @@ pub(super) fn object(khr: &Value, id: (usize, usize)) -> Result<Option<(String, 
     Ok(Some((at, object)))
 }
 
+/// Whether the extension's object binds splats.
+pub(super) fn is_bound(khr: &Value, id: (usize, usize)) -> Result<bool, Fault> {
+    Ok(object(khr, id)?.is_some_and(|(_, object)| object.binding.is_some()))
+}
+
 /// Pairs (node, primitive) to which any splats are bound.
 pub(super) fn wanted(asset: &Asset) -> std::collections::HashSet<(usize, usize)> {
     let primitives = asset.document.meshes().flat_map(|m| m.primitives().map(move |p| (m.index(), p)));
@@ -42,7 +47,8 @@ pub(super) fn wanted(asset: &Asset) -> std::collections::HashSet<(usize, usize)>
 }
 
 /// Reads the binding of `count` splats; an inner `Err` gives the reason for which the binding is ignored.
-/// `harmonics_bone` is the bone of the splats' node, and `turn` that node's transform in the rest pose.
+/// `harmonics_bone` is the bone of the splats' node, and `turn` the transform under which they are
+/// held, that node's in the rest pose unless it is flat.
 pub(super) fn read(
     asset: &Asset,
     object: &BindingObject,

@@ -513,7 +513,41 @@ fn splats_are_hidden_while_they_are_flat() {
     }
 }
 
-/// Bound splats that rest under a flat transform have no place there, but one on their triangle.
+/// Triangles replace the transform of the node of splats, even where it is flat: as they rest, and whether or not that
+/// node moves.
+#[test]
+fn bound_splats_below_flat_nodes_are_on_their_triangle() {
+    let flat = |document: &mut Value| document["nodes"][1]["scale"] = json!([0, 0, 0]);
+    for harmonics in ["node", "triangle"] {
+        let (file, regular) = (bound(harmonics, flat), bound(harmonics, |_| ()));
+        let rest = file.rest();
+        assert!(!rest.notes.iter().any(|note| note.contains("not drawn")), "{:?}", rest.notes);
+        assert_eq!(file.at(0.0).scene, rest.scene);
+        for time in [0.0, 1.0] {
+            let [found, expected] = [&file, &regular].map(|file| file.at(time).scene.splats);
+            near(bytemuck::cast_slice(found.means()), bytemuck::cast_slice(expected.means()), 1e-6);
+            near(bytemuck::cast_slice(found.log_scales()), bytemuck::cast_slice(expected.log_scales()), 1e-6);
+            near(found.sh().as_flattened(), expected.sh().as_flattened(), 3e-6);
+            assert_eq!(found.opacity_logits(), expected.opacity_logits());
+        }
+        let still = bound(harmonics, |document| {
+            flat(document);
+            document.as_object_mut().unwrap().remove("animations");
+        });
+        assert_eq!(still.rest().scene.splats, rest.scene.splats);
+    }
+    // Where the binding does not hold, they have no place, and others follow their bones as ever.
+    let file = bound("node", |document| {
+        flat(document);
+        let khr = &mut document["meshes"][1]["primitives"][0]["extensions"][KHR_SPLATS];
+        khr["extensions"][HYBRID]["binding"]["triangleCount"] = json!(7);
+    });
+    let notes = file.rest().notes;
+    assert!(notes.contains(&"/nodes/1: splats under a flat transform are not drawn".to_owned()), "{notes:?}");
+    near(bytemuck::cast_slice(file.at(1.0).scene.splats.means()), &[1.0, 0.0, 2.0], 1e-6);
+}
+
+/// Also where an animation makes the transform another than at rest.
 #[test]
 fn bound_splats_that_rest_flat_appear_on_their_triangle() {
     let file = bound("node", |document| {
@@ -526,11 +560,10 @@ fn bound_splats_that_rest_flat_appear_on_their_triangle() {
         clip["samplers"][1] = sampler;
         clip["channels"][1]["target"] = json!({ "node": 1, "path": "scale" });
     });
-    let rest = file.rest().scene.splats;
-    assert_eq!(rest.opacity_logits()[0], HIDDEN);
     let still = bound("node", |_| ());
-    for time in [0.0, 1.0] {
-        let [found, expected] = [&file, &still].map(|file| file.at(time).scene.splats);
+    let at = |file: &File, time: Option<f64>| time.map_or_else(|| file.rest(), |time| file.at(time)).scene.splats;
+    for time in [None, Some(0.0), Some(1.0)] {
+        let [found, expected] = [&file, &still].map(|file| at(file, time));
         near(&found.means()[0].to_array(), &expected.means()[0].to_array(), 1e-6);
         assert_eq!(found.opacity_logits()[0], expected.opacity_logits()[0]);
     }

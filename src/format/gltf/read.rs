@@ -1,7 +1,5 @@
 //! Conversion of an opened asset to a hybrid scene.
 
-use std::ops::Range;
-
 use glam::DMat4;
 use serde_json::Value;
 
@@ -39,7 +37,7 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     notes.extend(motion.notes());
     let stated_layers = is_stated.then_some(composition.layers);
     let mut meshes = Meshes::new(asset, &motion, space, stated_layers)?;
-    let (mut parts, mut hung, mut count) = (vec![], vec![], 0);
+    let mut hung = vec![];
     let placed = placements(&asset.document)?;
     notes.extend(not_placed(asset)?);
     let single = Single::of(&asset.root);
@@ -55,24 +53,17 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
                 notes.push(format!("{at}: left out: it has no POSITION"));
             } else if let Some(khr) = khr {
                 let stored = splats::read(asset, id, &primitive, khr, (space, is_stated), &mut notes)?;
-                // What rests under a flat transform is held without it, hidden, for poses in which it is not flat.
-                let is_hidden = is_flat(*transform) && meshes.moves(node.index());
-                let above = if is_hidden { DMat4::IDENTITY } else { *transform };
+                // What rests under a flat transform is held without it, for poses in which it is not flat, or for
+                // triangles, which replace it.
+                let is_held = is_flat(*transform) && (meshes.moves(node.index()) || binding::is_bound(khr, id)?);
+                let above = if is_held { DMat4::IDENTITY } else { *transform };
                 let (transforms, note) = drawn(above, copies.as_deref());
                 notes.extend(note.map(|note| format!("{at_node}: {note}")));
-                if is_hidden {
-                    notes.push(format!("{at_node}: {NOT_DRAWN} in the rest pose"));
-                }
                 // The last instance takes the splats that were read, without a copy.
                 for (stored, transform) in std::iter::repeat_n(stored, transforms.len()).zip(transforms) {
-                    let mut part = stored.placed(transform);
+                    let part = stored.placed(transform);
                     asset.spend(bytes_of(&part), &at_node)?;
-                    let these = count..count + part.means.len();
-                    let hidden =
-                        is_hidden.then(|| std::mem::replace(&mut part.opacity_logits, vec![HIDDEN; these.len()]));
-                    count = these.end;
-                    hung.push(Hung { splats: these, hidden, node: node.index(), transform, id, khr });
-                    parts.push((at.clone(), part));
+                    hung.push(Hung { part, is_held, node: node.index(), transform, id, khr });
                 }
             } else if !meshes.add((node, *transform), copies.as_deref(), &primitive, &mut notes)? {
                 notes.push(format!("{at_node}: a primitive that is neither triangles nor splats is left out"));
@@ -82,8 +73,14 @@ pub(super) fn scene_and_motion(asset: &Asset, animations: &[String]) -> Result<(
     }
     let mut read = meshes.finish(&mut notes)?;
     let mut attached: Vec<AttachedSplats> = vec![];
+    let (mut parts, mut count) = (vec![], 0);
     for hung in hung {
-        attached.extend(hung.follows(asset, &mut read, &mut notes)?);
+        let at = format!("/meshes/{}/primitives/{}", hung.id.0, hung.id.1);
+        if let Some((part, attachment)) = hung.attached(asset, &mut read, count, &mut notes)? {
+            count += part.means.len();
+            attached.extend(attachment);
+            parts.push((at, part));
+        }
         said.take(&mut notes);
     }
     let Finished { meshes, mut rest_surfaces, mut poses, .. } = read;
@@ -120,9 +117,9 @@ fn drawn(above: DMat4, copies: Option<&[DMat4]>) -> (Vec<DMat4>, Option<&'static
 
 /// Splats of a primitive at a node.
 struct Hung<'a> {
-    splats: Range<usize>,
-    /// As [`AttachedSplats::hidden`].
-    hidden: Option<Vec<f32>>,
+    part: SplatArrays,
+    /// Whether they are held without the transform of the node, because that is flat.
+    is_held: bool,
     node: usize,
     /// Transform under which they are held.
     transform: DMat4,
@@ -132,14 +129,17 @@ struct Hung<'a> {
 }
 
 impl Hung<'_> {
-    /// Attachment of the splats; `None` if they are static.
-    fn follows(
+    /// The splats, of which `first` is the index in the scene, and their attachment, `None` if they are static; nothing
+    /// if no pose shows them.
+    fn attached(
         self,
         asset: &Asset,
         read: &mut Finished,
+        first: usize,
         notes: &mut Vec<String>,
-    ) -> Result<Option<AttachedSplats>, Fault> {
-        let Self { splats, hidden, node, transform, id, khr } = self;
+    ) -> Result<Option<(SplatArrays, Option<AttachedSplats>)>, Fault> {
+        let Self { mut part, is_held, node, transform, id, khr } = self;
+        let splats = first..first + part.means.len();
         let object = binding::object(khr, id)?;
         let moves = read.poses.moves(node);
         if let Some((at, SplatExtension { deformation: Some(_), .. })) = &object {
@@ -154,16 +154,27 @@ impl Hung<'_> {
             // Read even for static content, so that faults are reported.
             match bound.and_then(|to| {
                 let binding = binding::read(asset, object, splats.len(), to, read.poses.bone(node), transform)?;
-                Ok((to.moves || moves).then_some(binding))
+                Ok((binding, to.moves || moves))
             }) {
-                Ok(binding) => {
-                    let anchor = binding.map(Anchor::Triangles);
-                    return Ok(anchor.map(|anchor| AttachedSplats { splats, anchor, hidden }));
+                Ok((mut binding, moves)) => {
+                    let mesh = &read.meshes[binding.surface];
+                    let hidden = if is_held { binding.settle(&mut part, mesh) } else { None };
+                    let anchor = Anchor::Triangles(binding);
+                    return Ok(Some((part, moves.then_some(AttachedSplats { splats, anchor, hidden }))));
                 }
                 Err(reason) => notes.push(format!("{at}/binding: ignored: {reason}")),
             }
         }
-        Ok(moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)), hidden }))
+        if is_held && !moves {
+            notes.push(format!("/nodes/{node}: {NOT_DRAWN}"));
+            return Ok(None);
+        }
+        let hidden = is_held.then(|| {
+            notes.push(format!("/nodes/{node}: {NOT_DRAWN} in the rest pose"));
+            std::mem::replace(&mut part.opacity_logits, vec![HIDDEN; splats.len()])
+        });
+        let attachment = moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)), hidden });
+        Ok(Some((part, attachment)))
     }
 }
 

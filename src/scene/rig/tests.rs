@@ -245,7 +245,9 @@ fn splats_on_a_bone_and_maps_turn_with_it() {
 fn what_is_flat_as_it_rests_is_shown_in_other_poses() {
     let moved = similarity_of(0.5, DQuat::from_rotation_x(0.3), DVec3::X);
     let bone = DMat4::from_translation(DVec3::Z) * DMat4::from_scale(DVec3::new(1.0, 2.0, 1.0));
-    for flat in [DMat4::ZERO, DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))] {
+    let plane = DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0));
+    let turn = |angle: f64| DMat4::from_quat(DQuat::from_euler(glam::EulerRot::YXZ, angle, 0.4, -0.8));
+    for flat in [DMat4::ZERO, plane, turn(0.7) * plane * turn(1.9)] {
         let held = one_splat(Vec3::new(1.0, 2.0, 3.0), Quat::from_rotation_x(0.2), 0.3);
         let rest = Pose { bones: vec![flat], weights: vec![] };
         let hidden = Some(held.opacity_logits().to_vec());
@@ -303,6 +305,38 @@ fn what_is_seen_turns_by_the_orthogonal_part_of_a_bone() {
         assert_eq!(found.len(), wanted.len());
         assert!(found.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 3e-6), "{found:?}, expected {wanted:?}");
     }
+}
+
+/// Splats whose own place is not known are where they would be had they been posed from the undeformed triangle.
+#[test]
+fn splats_without_a_place_settle_on_their_triangles() {
+    let frame = Frame::of(CORNERS.map(Vec3::as_dvec3)).unwrap();
+    let (scene_of, rig) = bound(ShFrame::Triangles(vec![DQuat::from_mat3(&frame.axes.transpose())]));
+    let pose = |bone: DMat4| Pose { bones: vec![bone, DMat4::IDENTITY], weights: vec![0.0] };
+    let turned_over =
+        similarity_of(1.9, DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.4, -0.8), DVec3::new(3., -1., 2.));
+    let other = pose(similarity_of(0.6, DQuat::from_rotation_x(1.1), DVec3::Z));
+    let posed = |pose: &Pose| rig.pose(&scene_of, pose, DMat4::IDENTITY).unwrap();
+    let settled = |rest: Pose, mesh: Mesh| {
+        let Anchor::Triangles(mut binding) = rig.attached()[0].anchor.clone() else { unreachable!() };
+        let mut splats = scene_of.splats.clone().into_arrays();
+        (splats.means[0], splats.log_scales[0]) = (Vec3::splat(9.0), Vec3::ONE);
+        let hidden = binding.settle(&mut splats, &mesh);
+        let attached = vec![AttachedSplats { splats: 0..1, anchor: Anchor::Triangles(binding), hidden }];
+        let settled = Rig::new(rig.surfaces().to_vec(), attached, rest.clone(), names(&rest)).unwrap();
+        let resting = scene(splats.check().unwrap(), vec![mesh]);
+        assert_eq!(settled.pose(&resting, &rest, DMat4::IDENTITY).unwrap(), resting);
+        (settled.pose(&resting, &other, DMat4::IDENTITY).unwrap(), resting)
+    };
+    let rest = posed(&pose(turned_over));
+    let (elsewhere, resting) = settled(pose(turned_over), rest.meshes[0].clone());
+    same_splats(&resting.splats, &rest.splats, 5e-6);
+    same_splats(&elsewhere.splats, &posed(&other).splats, 5e-6);
+    // On a triangle without area they are hidden until it has one.
+    let (elsewhere, resting) = settled(pose(DMat4::ZERO), mesh(&[Vec3::ZERO; 3], 0));
+    assert_eq!(resting.splats.opacity_logits(), [HIDDEN]);
+    same_splats(&elsewhere.splats, &posed(&other).splats, 5e-6);
+    assert_eq!(elsewhere.splats.opacity_logits(), scene_of.splats.opacity_logits());
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! Validation of transforms above splats: below flat ones, which have no inverse, splats are not drawn.
+//! Validation of transforms above splats: below flat ones, which have no inverse, splats are not drawn unless they are
+//! bound to triangles.
 
 use std::collections::HashSet;
 
@@ -9,7 +10,7 @@ use super::super::{Findings, Offenders};
 use super::document::Document;
 use super::scenes::{children, numbers};
 use super::{extension, index, objects};
-use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
+use crate::format::gltf::extension::{HYBRID, INSTANCING, KHR_SPLATS, extension_of};
 use crate::scene::placement::is_flat;
 
 const CODE: &str = "SPLAT_FLAT";
@@ -60,10 +61,12 @@ fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut 
     }
 }
 
-/// Meshes with splats.
+/// Meshes with splats that their node places: triangles to which splats are bound replace its transform.
 fn meshes_of_splats(root: &Value) -> HashSet<usize> {
+    let is_bound = |khr: &Value| extension_of(khr, HYBRID).is_some_and(|object| object.get("binding").is_some());
     let is_of_splats = |(at, mesh): &(String, &Value)| {
-        objects(mesh, "primitives", at).any(|(_, primitive)| extension_of(primitive, KHR_SPLATS).is_some())
+        objects(mesh, "primitives", at)
+            .any(|(_, primitive)| extension_of(primitive, KHR_SPLATS).is_some_and(|khr| !is_bound(khr)))
     };
     let meshes = objects(root, "meshes", "").enumerate();
     meshes.filter(|(_, mesh)| is_of_splats(mesh)).map(|(i, _)| i).collect()

@@ -97,13 +97,31 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
     }
 }
 
-/// Whether the object that has an animated property, or an element of one, is there; the property itself may have a
-/// default.
+/// Whether an animated property, or an element of one, is there, or its object is there and it may have a default.
 fn is_defined(root: &Value, pointer: &str) -> bool {
-    let Some((object, last)) = pointer.rsplit_once('/') else { return false };
-    let is_element = last.parse::<usize>().is_ok();
-    let object = if is_element { object.rsplit_once('/').map_or("", |(object, _)| object) } else { object };
-    root.pointer(object).is_some_and(Value::is_object)
+    let Some((above, last)) = pointer.rsplit_once('/') else { return false };
+    match root.pointer(above) {
+        Some(Value::Object(object)) => object.contains_key(last) || may_have_default(above, last),
+        // Elements are numbers, as in `weights`: what has objects is no property.
+        Some(Value::Array(elements)) => {
+            last.parse::<usize>().ok().and_then(|i| elements.get(i)).is_some_and(Value::is_number)
+        }
+        Some(_) => false,
+        // An element of a property that is absent. Only objects in arrays have such, not the document.
+        None => above.rsplit_once('/').is_some_and(|(owner, _)| {
+            is_index(last) && owner.split('/').any(is_index) && root.pointer(owner).is_some_and(Value::is_object)
+        }),
+    }
+}
+
+/// Whether a property of the object at `above` may have a default; of core glTF, two of perspective cameras have none.
+fn may_have_default(above: &str, property: &str) -> bool {
+    let camera = above.strip_prefix("/cameras/").and_then(|below| below.strip_suffix("/perspective"));
+    !(camera.is_some_and(is_index) && ["aspectRatio", "zfar"].contains(&property))
+}
+
+fn is_index(token: &str) -> bool {
+    token.parse::<usize>().is_ok()
 }
 
 fn visit(value: &Value, steps: &[&str], at: &mut String, found: &mut impl FnMut(&str, &Value)) {

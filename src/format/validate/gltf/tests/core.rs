@@ -192,13 +192,29 @@ fn pointers_lead_to_properties_of_what_is_there() {
         ("/cameras/0/perspective/yfov", true),
         ("/materials/0/extensions/KHR_materials_unlit/any", true),
         ("/extras", true),
+        ("/cameras/1/perspective/zfar", true),
+        ("/cameras/1/perspective/aspectRatio", false),
+        ("/cameras/2/perspective/aspectRatio", true),
+        ("/cameras/2/perspective/zfar", false),
+        ("/scenes/0/nodes/0", true),
         ("/nodes/99/rotation", false),
+        ("/nodes/99", false),
+        ("/nodes/0", false),
+        ("/nodes/99/weights/1", false),
+        ("/cameras/7", false),
+        ("/lights/7", false),
+        ("/meshes/0/primitives/9", false),
+        ("/scenes/0/nodes/99", false),
         ("/cameras/0/orthographic/xmag", false),
         ("/materials/0/extensions/KHR_none/any", false),
         ("nodes/0/rotation", false),
         ("", false),
     ] {
         let mut file = everything();
+        for (property, value) in [("zfar", 9.0), ("aspectRatio", 1.5)] {
+            let perspective = json!({ "yfov": 1, "znear": 0.5, property: value });
+            file.push("cameras", json!({ "type": "perspective", "perspective": perspective }));
+        }
         pointed(&mut file, pointer);
         let expected: &[&str] = if is_defined { &[] } else { &["ANIMATION_POINTER"] };
         assert_eq!(file.codes(), expected, "{pointer}");

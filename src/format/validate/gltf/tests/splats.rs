@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::{KHR, Planted, SPLATS, SURFACE, U16, copied, everything, node_of, primitive};
+use super::{File, HYBRID, KHR, Planted, SPLATS, SURFACE, U16, copied, everything, node_of, primitive};
 
 pub(super) const PLANTED: &[Planted] = &[
     ("SCHEMA_REQUIRED", "/extensions/KHR_gaussian_splatting", |f| {
@@ -42,12 +42,17 @@ pub(super) const PLANTED: &[Planted] = &[
     ("SPLAT_SCALE_NEGATIVE", "/attributes/KHR_gaussian_splatting:SCALE", |f| {
         f.set_float(f.attribute(SPLATS, "KHR_gaussian_splatting:SCALE"), 2, 3, -0.5);
     }),
-    ("SPLAT_FLAT", "/nodes/", |f| node_of(f, SPLATS)["scale"] = json!([1, 0, 1])),
     ("SPLAT_FLAT", "/nodes/", |f| {
+        unbind(f);
+        node_of(f, SPLATS)["scale"] = json!([1, 0, 1]);
+    }),
+    ("SPLAT_FLAT", "/nodes/", |f| {
+        unbind(f);
         let top = f.json["scenes"][0]["nodes"][0].as_u64().unwrap() as usize;
         f.json["nodes"][top]["scale"] = json!([0, 0, 0]);
     }),
     ("SPLAT_FLAT", "/EXT_mesh_gpu_instancing/attributes/SCALE", |f| {
+        unbind(f);
         let scales = f.floats("VEC3", &[1., 1., 1., 0., 0., 0., 1., 0., 1.]);
         copied(f, SPLATS, &json!({ "SCALE": scales }));
     }),
@@ -58,12 +63,21 @@ pub(super) const PLANTED: &[Planted] = &[
     }),
 ];
 
+/// Leaves the splats to their node.
+fn unbind(file: &mut File) {
+    let object = &mut primitive(file, SPLATS)["extensions"][KHR]["extensions"][HYBRID];
+    drop(object.as_object_mut().unwrap().remove("binding"));
+}
+
 #[test]
-fn flat_transforms_that_move_or_have_no_splats_below_are_no_fault() {
+fn flat_transforms_that_move_or_place_no_splats_are_no_fault() {
     let mut file = everything();
     node_of(&mut file, SURFACE)["scale"] = json!([0, 0, 0]);
     assert_eq!(file.codes(), [""; 0]);
+    // Bound splats are on their triangles.
     node_of(&mut file, SPLATS)["scale"] = json!([0, 0, 0]);
+    assert_eq!(file.codes(), [""; 0]);
+    unbind(&mut file);
     assert_eq!(file.codes(), ["SPLAT_FLAT"]);
     let is_splats = |node: &Value| node["mesh"] == json!(SPLATS);
     let node = file.json["nodes"].as_array().unwrap().iter().position(is_splats).unwrap();
