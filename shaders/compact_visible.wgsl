@@ -1,7 +1,8 @@
 // Lists visible splats with their depth as sort key. z > near > 0, so float bits order like depths; counting from
 // `near` leaves 28 significant bits for every depth up to 2³² · near. Near planes of other programs may be practically
-// 0: keys count from at least LEAST_DEPTH, for depths up to 43,000 units. render/gpu/unit.rs defines it, and renders
-// finished scenes that are too small for it in another unit.
+// 0: keys count from at least LEAST_DEPTH. For finished scenes render/gpu/unit.rs defines it, for depths up to 43,000
+// units, and renders scenes that are too small or too large for the keys in another unit. In training the near plane is
+// fitted to the scene, and LEAST_DEPTH only keeps it positive.
 //#import shared/view.wgsl
 
 @group(0) @binding(0) var<uniform> view: View;

@@ -5,7 +5,8 @@
 // workgroup's part of g·(r, g, b, 1)ᵀ, the gradient by E; PER_THREAD pixels per thread. A photograph with alpha is
 // composited over the exposed background, too; as this is common to both pictures, it must not move E: (1 −
 // alpha)·(background, 1) is subtracted. That is exact for L1, which depends on differences alone, and an approximation
-// for SSIM. 52 bytes and 28 multiply-adds per pixel, 27 MB at 960 × 540: bound by bandwidth.
+// for SSIM. Where meshes alone are drawn, E must not explain what they leave open: pixels then count as far as they are
+// covered. 52 bytes and 32 multiply-adds per pixel, 27 MB at 960 × 540: bound by bandwidth.
 // `update`: total of these sums, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
@@ -20,6 +21,7 @@ struct Step {
     correction_1: f32,                  // 1 − β₁ᵗ, t being the steps of this view
     correction_2: f32,                  // 1 − β₂ᵗ
     is_composite: f32,                  // 1: the photograph's alpha is opacity; else 0
+    is_partial: u32,                    // 1: meshes alone are drawn, which are only a part of what is seen; else 0
 }
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -48,7 +50,9 @@ fn pull(
         let pixel = (index * PER_THREAD + k) * 256u + thread;
         if pixel < n_pixels {
             let transparent = step.is_composite * (1.0 - f32(truth[pixel] >> 24u) * (1.0 / 255.0));
-            let seen = vec4f(image[pixel].xyz, 1.0) - transparent * vec4f(view.background.xyz, 1.0);
+            let drawn = image[pixel];
+            let part = select(1.0, 1.0 - drawn.w, step.is_partial != 0u);
+            let seen = part * (vec4f(drawn.xyz, 1.0) - transparent * vec4f(view.background.xyz, 1.0));
             let g = gradient[pixel];
             r0 += g.x * seen;
             r1 += g.y * seen;

@@ -260,7 +260,7 @@ impl<'a> Run<'a> {
 
     /// Initial scene of the run; when resuming, saved splats replace the initial ones once the phase begins.
     fn first_scene(&mut self, source: MeshSource, saved: Option<&mut Saved>) -> Result<HybridScene, TrainError> {
-        let begins = saved.is_none();
+        let (begins, is_joint) = (saved.is_none(), saved.as_ref().is_some_and(|saved| saved.phase == Phase::Joint));
         let meshes = match (saved, source) {
             (Some(saved), _) => std::mem::take(&mut saved.meshes),
             (None, MeshSource::Given { surface, corner_uvs }) => {
@@ -269,8 +269,9 @@ impl<'a> Run<'a> {
             }
             (None, _) => vec![],
         };
-        // A mesh that exists from the beginning takes its part of the budget from the beginning.
-        let beside: &[Mesh] = if self.setup.finds_surface() { &[] } else { &meshes };
+        // A mesh that exists from the beginning takes its part of the budget from the beginning, and any mesh does once
+        // splats are trained beside it.
+        let beside: &[Mesh] = if self.setup.finds_surface() && !is_joint { &[] } else { &meshes };
         let splats = start::splats(&self.setup, &self.views, beside, begins)?;
         Ok(HybridScene { splats, meshes, composition: self.setup.composition() })
     }

@@ -93,7 +93,7 @@ impl Run<'_> {
         let mut done = plan.from;
         while done < plan.iterations {
             let begin = Instant::now();
-            self.views.photos.resize(plan.resolution.scale(plan.clock + done, self.setup.scales.longest_side));
+            self.views.photos.resize(plan.scale_at(&self.setup, done));
             self.step(training, plan, done)?;
             done += 1;
             let mut stop = self.session.stop.load(Ordering::Relaxed);
@@ -220,7 +220,7 @@ impl Run<'_> {
             }
         };
         // While this step is on the GPU. Whether the adapter keeps this view's photograph is not known before.
-        photos.prefetch(plan.views_after(t).filter(|&next| next != view && kept(next).is_none()));
+        photos.prefetch(plan.views_after(&self.setup, t).filter(|&next| next != view && kept(next).is_none()));
         // Where it was found to be, at the size of the picture.
         let camera = self.views.cameras[view].resized(width, height);
         let n_splats = training.n_splats() as u32;

@@ -91,7 +91,7 @@ impl<'a> Photographs<'a> {
     }
 
     /// Cache of the pictures of steps.
-    fn of_steps(&self) -> &PhotoCache {
+    pub(super) fn of_steps(&self) -> &PhotoCache {
         self.small.as_ref().map_or(&self.whole, |(small, _)| small)
     }
 

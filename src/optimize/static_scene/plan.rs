@@ -84,10 +84,18 @@ impl Plan {
         self.order.at(self.clock + t)
     }
 
-    /// Views of the phase's iterations after `t`, the next first, as far as it is worth looking ahead.
-    pub(super) fn views_after(&self, t: u32) -> impl Iterator<Item = usize> {
+    /// Relative side of the pictures of iteration `t`.
+    pub(super) fn scale_at(&self, setup: &Setup, t: u32) -> f64 {
+        self.resolution.scale(self.clock + t, setup.scales.longest_side)
+    }
+
+    /// Views of the phase's iterations after `t`, the next first, as far as it is worth looking ahead: pictures of
+    /// another size are made when it is their turn.
+    pub(super) fn views_after(&self, setup: &Setup, t: u32) -> impl Iterator<Item = usize> {
         let last = t.saturating_add(LOOKS_AHEAD.min(self.order.len())).min(self.iterations.saturating_sub(1));
-        (t..last).map(move |t| self.view_at(t + 1))
+        let scale = self.scale_at(setup, t);
+        let next = (t..last).map(|t| t + 1).take_while(move |&t| self.scale_at(setup, t) == scale);
+        next.map(move |t| self.view_at(t))
     }
 
     /// What iteration `t` trains on and how, with so many splats, and this photograph of a view and meaning of its

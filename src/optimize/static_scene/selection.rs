@@ -77,12 +77,13 @@ pub(super) fn select_faces(
     let ratio = if are_held_back { error_ratio(&scores, &keep) } else { 1.0 };
     let part = part_for_maps((covered / seen.max(1.0)).min(1.0), ratio);
     let size = side_for(pixels, part, mesh.atlas(), setup.options.max_floats);
+    let most = most_side(size, mesh.atlas(), setup.options.max_floats);
     let chart_space = chart_space(setup, views, training)?;
     // Texels in a budget compete with splats. Bands are coarser, and share texels across charts where gutters are
     // narrow.
     let narrow = setup.options.max_floats.is_some() && mesh.atlas().bands().is_none();
     let gutter = if narrow { 0 } else { geometry::WIDEST_GUTTER };
-    Ok((laid_out_anew(mesh, &keep, chart_space.as_ref(), size, gutter)?, selection))
+    Ok((laid_out_anew(mesh, &keep, chart_space.as_ref(), (size, most), gutter)?, selection))
 }
 
 /// Scores of all triangles from these views over this background, and the number of pixels judged.
@@ -139,10 +140,21 @@ fn part_for_maps(share: f64, error_ratio: f64) -> f64 {
 /// covering this many `pixels`, within this `part` of the budget. At least 64 and at most the side of the old maps.
 fn side_for(pixels: f64, part: f64, before: &Atlas, max_floats: Option<usize>) -> u32 {
     let largest = before.base().width();
-    let per_texel = MapLayout { side: largest, degree: before.sh_degree() }.floats_per_texel();
-    let affordable = max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel);
-    let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable);
+    let texels = (TEXELS_PER_PIXEL * pixels / COVERAGE).min(affordable(part, before, max_floats));
     ((texels.sqrt() / 32.0).round() as u32 * 32).clamp(largest.min(64), largest)
+}
+
+/// Largest side, a multiple of 32 texels, to which charts may make maps of `size` texels a side grow: with no more than
+/// half of the budget, and at most the side of the old maps.
+fn most_side(size: u32, before: &Atlas, max_floats: Option<usize>) -> u32 {
+    let texels = affordable(MAPS_SHARE, before, max_floats);
+    ((texels.sqrt() / 32.0).floor() as u32).saturating_mul(32).max(size).min(before.base().width())
+}
+
+/// Texels of a base map, with a map of bands as `before`, that this `part` of the budget pays for.
+fn affordable(part: f64, before: &Atlas, max_floats: Option<usize>) -> f64 {
+    let per_texel = MapLayout { side: before.base().width(), degree: before.sh_degree() }.floats_per_texel();
+    max_floats.map_or(f64::INFINITY, |floats| floats as f64 * part / per_texel)
 }
 
 /// Number of judging views that must see each triangle: two, but one where the triangle at the median pixel is seen by
@@ -203,18 +215,26 @@ fn part(mesh: &Mesh, keep: &[bool]) -> Surface {
 }
 
 /// Packs the kept triangles into new charts, in maps of `size` texels a side or, where many small charts need more room
-/// than their area says, up to the old side. If they do not fit even there, all keep their charts.
+/// than their area says, up to `most`, and up to the old side if they do not fit there. If they do not fit even then,
+/// all keep their charts.
 fn laid_out_anew(
     mesh: &Mesh,
     keep: &[bool],
     chart_space: Option<&ChartSpace>,
-    size: u32,
+    (size, most): (u32, u32),
     gutter: u32,
 ) -> Result<Option<Mesh>, TrainError> {
     let (part, uvs) = (geometry::compact(part(mesh, keep)), kept(mesh.corner_uvs(), keep));
-    let anew = maps::with_room_for_charts(size, mesh.atlas().base().width(), |size| {
-        lay_out(geometry::unwrap(&part, chart_space, size, gutter)?, &uvs, mesh.atlas(), size)
-    });
+    let largest = mesh.atlas().base().width();
+    let within = |most: u32| {
+        maps::with_room_for_charts(size, most, |size| {
+            lay_out(geometry::unwrap(&part, chart_space, size, gutter)?, &uvs, mesh.atlas(), size)
+        })
+    };
+    let anew = match within(most) {
+        Err(TrainError::Geometry(geometry::GeometryError::AtlasTooSmall { .. })) if most < largest => within(largest),
+        made => made,
+    };
     Ok(match or_why_not(anew)? {
         Ok(mesh) => Some(mesh),
         Err(_) => mesh.with_triangles(keep),
@@ -312,6 +332,10 @@ mod tests {
         // Neither more texels than before, nor too few for charts.
         assert_eq!((side_for(1e9, 0.18, &plain, None), side_for(0.0, 0.0, &plain, floats)), (512, 64));
         assert_eq!(side_for(1.0, 0.18, &atlas(32, None), floats), 32);
+        // Half of the budget are 273² texels: charts make maps grow so far, but not make them smaller.
+        assert_eq!([160, 256, 288].map(|size| most_side(size, &plain, floats)), [256, 256, 288]);
+        assert_eq!((most_side(160, &plain, None), most_side(64, &plain, Some(1000))), (512, 64));
+        assert_eq!(most_side(64, &atlas(512, Some(128)), Some(10_000_000)), 512);
     }
 
     #[test]
@@ -353,12 +377,21 @@ mod tests {
         let uvs = (0..64 * 64).map(|i| [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| uv(corner(i) + p))).collect();
         let mesh = Mesh::new(positions, triangles, uvs, strips(1).atlas().clone()).unwrap();
         let keep: Vec<bool> = (0..64 * 64).map(|f| f % 2 == 0).collect();
-        let left = laid_out_anew(&mesh, &keep, None, 32, 0).unwrap();
+        let left = laid_out_anew(&mesh, &keep, None, (32, 64), 0).unwrap();
         assert_eq!(left, mesh.with_triangles(&keep));
         // Few triangles fit.
         let keep: Vec<bool> = (0..64 * 64).map(|f| f < 4).collect();
-        let left = laid_out_anew(&mesh, &keep, None, 64, 0).unwrap().unwrap();
+        let left = laid_out_anew(&mesh, &keep, None, (64, 64), 0).unwrap().unwrap();
         assert!(left.triangles().len() == 4 && Some(left) != mesh.with_triangles(&keep));
+        // Maps that should grow no further do where the charts would have no room otherwise.
+        let grown = |kept: usize| {
+            let keep: Vec<bool> = (0..64 * 64).map(|f| f < kept).collect();
+            let [found, expected] = [32, 64].map(|most| laid_out_anew(&mesh, &keep, None, (32, most), 0).unwrap());
+            assert_eq!(found, expected, "{kept}");
+            let is_anew = expected != mesh.with_triangles(&keep);
+            is_anew && expected.is_some_and(|mesh| mesh.atlas().base().width() == 64)
+        };
+        assert!((2..11).any(|power| grown(1 << power)));
     }
 
     /// Doubling the side could exceed a small budget.

@@ -110,13 +110,22 @@ impl Exposures {
     }
 
     /// Appends the conversion of the gradient of the exposed picture to that of the rendered one, and a step of the
-    /// view's exposure. `alpha` is the meaning of the photograph's.
-    pub(crate) fn record(&mut self, gpu: &Gpu, frame: &mut Frame, view: &View, step: &ExposureStep, alpha: TruthAlpha) {
+    /// view's exposure. `alpha` is the meaning of the photograph's. If the picture is of meshes alone (`is_partial`),
+    /// the exposure learns of what they cover.
+    pub(crate) fn record(
+        &mut self,
+        gpu: &Gpu,
+        frame: &mut Frame,
+        view: &View,
+        step: &ExposureStep,
+        (alpha, is_partial): (TruthAlpha, bool),
+    ) {
         let Some([pull, update]) = &self.stages else { return };
         let [first, second] = self.views.count(step.view, step.rate != 0.0);
         let n = groups(view.pixels(), PIXELS);
         let is_composite = f32::from(u8::from(alpha == TruthAlpha::Composite)).to_bits();
-        let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, is_composite, 0, 0];
+        let is_partial = u32::from(is_partial);
+        let words = [step.view as u32, n as u32, step.rate.to_bits(), first, second, is_composite, is_partial, 0];
         gpu.write(&self.uniform, 0, &words);
         frame.dispatch(pull, n);
         frame.dispatch(update, 1);
@@ -178,7 +187,7 @@ mod tests {
         exposures.bind_images(&gpu, images.each_ref(), &uniform, &status_buffer(&gpu).unwrap());
         let mut frame = Frame::new(&gpu);
         let step = ExposureStep { view: 0, rate: 1e-3 };
-        exposures.record(&gpu, &mut frame, &view, &step, TruthAlpha::Ignore);
+        exposures.record(&gpu, &mut frame, &view, &step, (TruthAlpha::Ignore, false));
         frame.submit();
 
         let [first, _] = exposures.read(&gpu).unwrap().moments;

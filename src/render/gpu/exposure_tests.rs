@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     render::testing,
-    scene::{Camera, Composition, HybridScene, Intrinsics, Splats},
+    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Splats, Texture},
 };
 
 /// Not a multiple of a workgroup's pixels.
@@ -68,7 +68,17 @@ fn step(training: &mut Training, truth: &[u8], exposure: Option<ExposureStep>) {
     step_on(training, (truth, TruthAlpha::Ignore), exposure);
 }
 
-fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), exposure: Option<ExposureStep>) {
+fn step_on(training: &mut Training, truth: (&[u8], TruthAlpha), exposure: Option<ExposureStep>) {
+    step_of(training, truth, true, exposure);
+}
+
+/// With meshes alone unless it `has_splats`.
+fn step_of(
+    training: &mut Training,
+    (truth, truth_alpha): (&[u8], TruthAlpha),
+    has_splats: bool,
+    exposure: Option<ExposureStep>,
+) {
     let splats = AdamStep {
         number: 1,
         n_splats: SPLATS as u32,
@@ -90,7 +100,7 @@ fn step_on(training: &mut Training, (truth, truth_alpha): (&[u8], TruthAlpha), e
             band_degree: 0,
             dropout: Dropout::default(),
             disparity_weight: 0.1,
-            splats: Some(splats),
+            splats: has_splats.then_some(splats),
             texels: None,
             vertices: None,
             exposure,
@@ -308,5 +318,38 @@ fn what_is_transparent_on_both_sides_leaves_exposures_alone() {
         assert!(trained.loss().unwrap().l1 < 1e-6);
         let after = trained.read_exposures().unwrap().unwrap();
         assert!(after.moments[0].iter().all(|m| m.abs() < 1e-7), "{:?}", after.moments[0]);
+    }
+}
+
+/// As in the warm-up of a given mesh, which may be an object in front of surroundings that are not drawn yet.
+#[test]
+fn exposures_learn_nothing_of_what_meshes_leave_open() {
+    let atlas = Atlas::new(Texture::zeros(16, 16, 4), None).unwrap();
+    let square = testing::grid_mesh([1, 1], atlas, |u, v| Vec3::new(u as f32 - 0.5, v as f32 - 0.5, 0.0));
+    let composition = Composition { layers: 1, ..Composition::default() };
+    let scene = HybridScene { splats: Splats::empty(0), meshes: vec![square], composition };
+    for gpu in gpus() {
+        // First moments for photographs that differ only in the wall around the square.
+        let learnt = |has_splats: bool| {
+            [0, 255].map(|wall| {
+                let mut trained = training(&gpu, &scene, 0.0);
+                let transmittance = trained.render(&camera(), BACKGROUND, Show::All).unwrap().transmittance;
+                let open = transmittance.iter().filter(|t| **t == 1.0).count();
+                assert!((transmittance.len() / 2..transmittance.len() - 200).contains(&open), "{open}");
+                let of_pixel = |t: &f32| if *t < 1.0 { [200, 210, 220, 255] } else { [wall, wall, wall, 255] };
+                let truth: Vec<u8> = transmittance.iter().flat_map(of_pixel).collect();
+                trained.expose(&exposures()).unwrap();
+                let exposure = Some(ExposureStep { view: 1, rate: 1e-2 });
+                step_of(&mut trained, (&truth, TruthAlpha::Ignore), has_splats, exposure);
+                assert_eq!(trained.status().unwrap().skipped, 0);
+                let [first, _] = trained.read_exposures().unwrap().unwrap().moments;
+                first[FLOATS..2 * FLOATS].to_vec()
+            })
+        };
+        let [dark, bright] = learnt(false);
+        assert!(dark == bright && dark.iter().all(|m| *m < 0.0), "{dark:?} {bright:?}");
+        // Beside splats, which are to explain all of the picture, every pixel counts.
+        let [dark, bright] = learnt(true);
+        assert!(dark.iter().zip(&bright).all(|(dark, bright)| dark > bright), "{dark:?} {bright:?}");
     }
 }

@@ -55,7 +55,7 @@ impl Front {
         if let Some(mesh) = &mut mesh {
             mesh.make_room(gpu, cameras, &view)?;
         }
-        let pairs = (capacity * PAIRS_PER_SPLAT + image.tiles).min(longest_list(gpu));
+        let pairs = usual_pairs(gpu, capacity, image);
         let layer_depth = layers_to_order_by(mesh.as_ref(), purpose);
         let inputs = ListInputs { purpose, splats: &splats, image, view: &view, layer_depth };
         let lists = SplatLists::new(gpu, &inputs, pairs)?;
@@ -162,7 +162,7 @@ impl Front {
         pairs: usize,
     ) -> Result<SplatBuffers, GpuError> {
         let before = std::mem::replace(&mut self.splats, splats);
-        let usual = (self.splats.capacity * PAIRS_PER_SPLAT).min(longest_list(gpu));
+        let usual = usual_pairs(gpu, self.splats.capacity, self.image);
         self.renew_lists(gpu, usual.max(pairs))?;
         Ok(before)
     }
@@ -193,6 +193,11 @@ impl Front {
         let m = self.mesh.as_ref()?;
         Some(LayerBuffers { depth: m.layer_depth(), color: m.layer_color(), gradient: m.layer_gradient() })
     }
+}
+
+/// Room for (tile, splat) pairs that lists have before a frame needs more.
+fn usual_pairs(gpu: &Gpu, splats: usize, image: ImageCapacity) -> usize {
+    (splats * PAIRS_PER_SPLAT + image.tiles).min(longest_list(gpu))
 }
 
 /// [`ListInputs::layer_depth`]: only under the EWA model are splats ordered against layers before blending.
@@ -256,5 +261,6 @@ mod tests {
         let splats = || SplatBuffers::new(&gpu, 9, sh_degree);
         assert_eq!(renews(&|f| f.replace_splats(&gpu, splats()?, 0).map(drop)), [true, false]);
         assert_eq!(renews(&|f| f.prepare(&gpu, &larger).map(drop)), [true; 2], "layers of more pixels");
+        assert_eq!(front.list_lengths()[0], 9 * PAIRS_PER_SPLAT + front.image.tiles, "as in new buffers");
     }
 }

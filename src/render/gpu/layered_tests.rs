@@ -158,26 +158,29 @@ fn difference(found: &[f32], expected: &[f32]) -> f32 {
     found.iter().zip(expected).map(|(f, e)| (f - e).abs()).sum::<f32>() / found.len() as f32
 }
 
-/// So small or so large that products of three lengths, or depths as sort keys, are out of range. Rounding differs, as
-/// the units are no powers of two.
+/// So small or so large, also relative to the near plane, that products of three lengths, or depths as sort keys, are
+/// out of range. Rounding differs, as the units are no powers of two.
 #[test]
 fn pictures_are_the_same_in_all_units_of_length() {
     const MODELS: [ImageModel; 2] = [ImageModel::Ewa, BY_RAY];
     let gpu = Gpu::open(None).unwrap();
     let (scene, camera) = testing::random_scene(41, 1500, 2, 2, 2, OrderMode::SurfaceConsistent);
     let whole = |scene: &HybridScene, camera: &Camera| {
-        Renderer::new(&gpu, scene, &[*camera]).unwrap().render(camera).unwrap().rgb.into_flattened()
+        let mut renderer = Renderer::new(&gpu, scene, &[*camera]).unwrap();
+        (renderer.render(camera).unwrap().rgb.into_flattened(), renderer.median_depth(camera).unwrap())
     };
     let parts = |scene: &HybridScene, camera: &Camera| {
         MODELS.map(|model| LayeredRenderer::new(&gpu, scene, &[*camera], model).unwrap().render(camera).unwrap())
     };
-    let (picture, in_parts) = (whole(&scene, &camera), parts(&scene, &camera));
-    for unit in [1e-30, 1e-9, 1e-6, 1e20] {
+    let ((picture, depths), in_parts) = (whole(&scene, &camera), parts(&scene, &camera));
+    for (unit, near) in [(1e-30, None), (1e-9, None), (1e-6, None), (1e20, None), (1e5, Some(1e-6))] {
         let to = Similarity::new(unit, DMat3::IDENTITY, DVec3::ZERO).unwrap();
-        let (scene, camera) = (to.scene(scene.clone()).unwrap(), to.camera(&camera).unwrap());
-        let mut off = vec![difference(&whole(&scene, &camera), &picture)];
+        let (mut scene, camera) = (to.scene(scene.clone()).unwrap(), to.camera(&camera).unwrap());
+        scene.composition.near = near.unwrap_or(scene.composition.near);
+        let depth = |depths: &[f32]| depths.iter().map(|z| (f64::from(*z) / unit) as f32).collect::<Vec<_>>();
+        let (found, found_depths) = whole(&scene, &camera);
+        let mut off = vec![difference(&found, &picture), difference(&depth(&found_depths), &depths)];
         for (found, expected) in parts(&scene, &camera).iter().zip(&in_parts) {
-            let depth = |depths: &[f32]| depths.iter().map(|z| (f64::from(*z) / unit) as f32).collect::<Vec<_>>();
             off.extend([
                 difference(found.splats.as_flattened(), expected.splats.as_flattened()),
                 difference(found.mesh.as_flattened(), expected.mesh.as_flattened()),

@@ -16,6 +16,9 @@ use crate::scene::{Camera, Splats, sh};
 /// Bits of a depth key, see `compact_visible.wgsl`.
 const DEPTH_BITS: u32 = 28;
 
+/// [`LEAST_DEPTH`] of trainings, which have no unit of length: their near plane is fitted to the scene.
+const LEAST_DEPTH_IN_TRAINING: f32 = 1e-30;
+
 /// Splat parameters in the shaders' layout.
 pub(crate) struct SplatBuffers {
     /// `[capacity][3]` vec4.
@@ -200,8 +203,7 @@ impl SplatLists {
 
         let defines = with_sh(gpu.defines(), splats.sh_degree)
             .with("LAYERS", layers)
-            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)))
-            .with_real("LEAST_DEPTH", LEAST_DEPTH.into());
+            .with("SH_BY_RAY", u32::from(model == ImageModel::Ray(ShDirection::Ray)));
         let stage = |file: &str, buffers: &[&Buffer]| Stage::new(gpu, file, "main", &defines, buffers);
         let mut parameters = vec![view, &splats.geometry, &splats.sh, &projected, &tile_count, &visible];
         let project = match &rays {
@@ -211,8 +213,12 @@ impl SplatLists {
                 stage("project_rays.wgsl", &parameters)
             }
         };
-        let compact = stage(
+        let least_depth = if trains { LEAST_DEPTH_IN_TRAINING } else { LEAST_DEPTH };
+        let compact = Stage::new(
+            gpu,
             "compact_visible.wgsl",
+            "main",
+            &gpu.defines().with_real("LEAST_DEPTH", least_depth.into()),
             &[view, &visible, &slots, &projected, depth_sort.keys_in(), depth_sort.values_in()],
         );
         let order =

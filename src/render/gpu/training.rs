@@ -65,7 +65,8 @@ pub(crate) struct Step<'a> {
     pub(crate) texels: Option<TexelStep>,
     /// Step of free vertices; without it they do not move.
     pub(crate) vertices: Option<VertexStep>,
-    /// Exposure step; the view's exposure applies with [`Training::expose`].
+    /// Exposure step; the view's exposure applies with [`Training::expose`]. Without splats it learns of what meshes
+    /// cover.
     pub(crate) exposure: Option<ExposureStep>,
     /// Pose step; the view's correction applies with [`Training::refine_poses`].
     pub(crate) pose: Option<PoseStep>,
@@ -221,7 +222,7 @@ impl<'g> Training<'g> {
         self.loss.set_truth(self.gpu, step.truth_alpha, exposure.as_ref().map_or(0, |(_, step)| step.view));
         self.loss.record(&mut frame);
         if let Some((exposures, exposed)) = exposure {
-            exposures.record(self.gpu, &mut frame, &view, &exposed, step.truth_alpha);
+            exposures.record(self.gpu, &mut frame, &view, &exposed, (step.truth_alpha, step.splats.is_none()));
         }
         frame.split();
         self.backward.record(&mut frame, &self.pipeline, &view);

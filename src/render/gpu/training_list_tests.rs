@@ -153,6 +153,19 @@ fn a_step_in_buffers_that_shrank_is_the_same() {
     assert!(found == expected && found.0.geometry_m.iter().any(|m| *m != 0.0));
 }
 
+/// Lists that had to grow stay as long for each splat.
+#[test]
+fn lists_shrink_with_the_room_for_splats() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = testing::random_scene(7, 400, 0, 0, 1, OrderMode::Stable);
+    let options = TrainingOptions { most_splats: 200, ..TrainingOptions::default() };
+    let mut training = Training::with_options(&gpu, &scene, &[camera], &options).unwrap();
+    training.lengthen_lists([9000, 0]).unwrap();
+    let sources: Vec<Source> = (0..150).map(Source::new).collect();
+    training.rearrange(&vec![0.0; 150 * GEOMETRY_FLOATS], &sources).unwrap();
+    assert_eq!((training.pipeline.front.splats.capacity, training.list_lengths()[0]), (200, 4500));
+}
+
 /// A thousand splats that cover all tiles, which use a few of them: more rows of sums than are bound at a time.
 #[test]
 fn sums_of_pairs_in_parts_are_those_of_all() {

@@ -18,6 +18,7 @@ use super::{
     view::Dropout,
 };
 use crate::{
+    edit::Similarity,
     render::{
         reference::{self, Image, Parameters},
         testing,
@@ -67,6 +68,21 @@ fn step_without(training: &mut Training, camera: &Camera, dropout: Dropout) {
     let exposure = Some(ExposureStep { view: 0, rate: 1e-3 });
     let pose = Some(PoseStep { view: 0, turn_rate: 1e-3, shift_rate: 1e-3 });
     training.step(&Step { dropout, vertices, exposure, pose, ..usual }).unwrap();
+}
+
+/// Nearer than the depths that pictures of finished scenes distinguish, which are rendered in another unit of length.
+#[test]
+fn splats_of_small_scenes_are_drawn_in_their_order() {
+    let gpu = Gpu::open(None).unwrap();
+    let (scene, camera) = testing::random_scene(41, 1500, 0, 0, 1, OrderMode::Stable);
+    let [expected, found] = [1.0, 2_f64.powi(-20)].map(|unit| {
+        let to = Similarity::new(unit, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+        let (scene, camera) = (to.scene(scene.clone()).unwrap(), to.camera(&camera).unwrap());
+        let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();
+        training.render(&camera, [0.0; 3], Show::All).unwrap().rgb.into_flattened()
+    });
+    let off = found.iter().zip(&expected).map(|(f, e)| (f - e).abs()).sum::<f32>() / found.len() as f32;
+    assert!(off < 1e-3, "{off}");
 }
 
 /// A first step of splats and texels for a photograph.

@@ -16,6 +16,10 @@ pub(super) const LEAST_DEPTH: f32 = 1e-5;
 /// Largest distance of usual scenes, 2³⁰: cubes of a thousand times that, as of a far sphere, still fit in f32.
 const FARTHEST: f64 = (1_u64 << 30) as f64;
 
+/// Largest distance of usual scenes relative to the depth that sort keys count from, 2²⁶: keys distinguish depths up to
+/// 2³² times that, so up to 64 times the distance.
+const FARTHEST_OF_KEYS: f64 = (1_u64 << 26) as f64;
+
 /// Approximate number of points whose distance is measured.
 const MOST: usize = 1 << 16;
 
@@ -83,7 +87,8 @@ impl Unit {
 /// unless it is a usual one.
 fn factor(distance: f64, near: f32) -> f64 {
     let are_distinct = distance >= 1.0 || near >= LEAST_DEPTH;
-    if (are_distinct && distance <= FARTHEST) || !distance.is_normal() {
+    let farthest = FARTHEST.min(FARTHEST_OF_KEYS * f64::from(near.max(LEAST_DEPTH)));
+    if (are_distinct && distance <= farthest) || !distance.is_normal() {
         return 1.0;
     }
     2_f64.powi(-(distance.log2().floor() as i32))
@@ -106,9 +111,20 @@ mod tests {
 
     #[test]
     fn only_unusual_scenes_get_another_unit() {
-        // Captures as scaled by COLMAP, a head and a ring in metres, a house in millimetres and in kilometres, and a
-        // near plane of practically 0.
-        for (distance, near) in [(5.0, 0.2), (0.6, 0.03), (0.02, 1e-3), (2e4, 0.2), (0.02, 2e-4), (4.0, 1e-30)] {
+        // Captures as scaled by COLMAP, a head and a ring in metres, a house in millimetres and in kilometres, a city,
+        // and near planes of other programs, also of practically 0.
+        for (distance, near) in [
+            (5.0, 0.2),
+            (0.6, 0.03),
+            (0.02, 1e-3),
+            (2e4, 0.2),
+            (0.02, 2e-4),
+            (5e3, 0.01),
+            (10.0, 1e-5),
+            (10.0, 1e-4),
+            (500.0, 1e-6),
+            (4.0, 1e-30),
+        ] {
             assert_eq!(factor(distance, near), 1.0, "{distance} {near}");
         }
         for (distance, near, expected) in [
@@ -117,6 +133,10 @@ mod tests {
             (1e-30, 1e-31, 2_f64.powi(100)),
             (1.5 * FARTHEST, 0.2, 1.0 / FARTHEST),
             (1e30, 1e29, 2_f64.powi(-99)),
+            // Depths beyond the range of keys that count from so near.
+            (1e5, 1e-6, 2_f64.powi(-16)),
+            (1e7, 1e-3, 2_f64.powi(-23)),
+            (9e8, 0.2, 2_f64.powi(-29)),
             // Nothing is known of the size.
             (0.0, 1e-9, 1.0),
             (f64::INFINITY, 1.0, 1.0),

@@ -106,6 +106,8 @@ fn photographs_that_the_adapter_keeps_are_not_decoded_again() {
     training.keep_photographs(2 * 4 * 32 * 32);
     let plan = Plan::of(&run.setup, Phase::Joint, 0, false);
     (0..3).for_each(|t| run.step(&mut training, &plan, t).unwrap());
+    // The third is the one that is not kept; what is made ahead of time stays here until a step wants it.
+    assert_eq!(run.views.photos.of_steps().bytes(), 0, "kept ones are made for the next steps");
     capture.views.iter().for_each(|view| std::fs::remove_file(view.source.path()).unwrap());
     for t in 3..9 {
         let is_kept = [0, 1].map(|t| plan.view_at(t)).contains(&plan.view_at(t));

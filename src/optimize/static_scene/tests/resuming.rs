@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use super::*;
-use crate::optimize::checkpoint::Checkpoint;
+use crate::optimize::{checkpoint::Checkpoint, density::mcmc::EpochWeight, resume::HostState};
 
 #[test]
 fn checkpoints_have_the_history() {
@@ -81,6 +81,29 @@ fn the_last_checkpoint_may_fail() {
         assert!(matches!(outcome(20, every, stop_after), Err(TrainError::Checkpoint(_))), "{every}, {stop_after}");
     }
     assert!(!path.exists());
+}
+
+/// Buffers have room for no more, so that density control need not replace them, and lists stay as long as they were.
+#[test]
+fn a_resumed_joint_phase_begins_with_no_more_splats_than_it_may_have() {
+    with_run(&TrainOptions { max_floats: Some(60_000), ..options() }, |run, training, scene| {
+        run.setup.identity.finds_surface = true;
+        let most = run.setup.budget.splats_beside(&scene.meshes);
+        assert!(most < run.setup.budget.splats_beside(&[]) && most < run.setup.capture.points.len(), "{most}");
+        for (phase, is_limited) in [(Phase::Joint, true), (Phase::Warmup, false)] {
+            let host = HostState {
+                reached: (phase, 0),
+                found: run.found.clone(),
+                poses: None,
+                epoch: &EpochWeight::default(),
+                past: run.log.past.clone(),
+            };
+            let mut saved = Saved::capture(training, scene, host).unwrap();
+            let first = run.first_scene(MeshSource::Points, Some(&mut saved)).unwrap();
+            assert_eq!(first.meshes.len(), 1);
+            assert_eq!(first.splats.len() == most, is_limited, "{phase:?}: {} of {most}", first.splats.len());
+        }
+    });
 }
 
 /// Splats trained with other cameras or other points are not continued.

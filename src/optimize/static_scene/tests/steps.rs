@@ -132,6 +132,21 @@ fn every_phase_counts_its_own_steps() {
     }
 }
 
+/// Pictures that are made ahead of time are dropped when their size changes.
+#[test]
+fn steps_look_ahead_to_the_end_of_a_size() {
+    // Six smaller sizes, of ten iterations each.
+    let options = TrainOptions { coarse_to_fine: true, iterations: 120, ..options() };
+    with_run(&options, |run, _, _| {
+        let plan = Plan::of(&run.setup, Phase::Joint, 0, true);
+        let ahead = |t: u32| plan.views_after(&run.setup, t).collect::<Vec<_>>();
+        assert_eq!([0, 9, 13, 59].map(|t| ahead(t).len()), [9, 0, 6, 0]);
+        assert_eq!(ahead(13), (14..20).map(|t| plan.view_at(t)).collect::<Vec<_>>());
+        // Once through all views, and no further than the phase goes.
+        assert_eq!([60, 118, 119].map(|t| ahead(t).len()), [run.setup.train.len(), 1, 0]);
+    });
+}
+
 /// Noise is scaled by the capture's unit, and by the longer steps of a short run.
 #[test]
 fn mcmc_alone_has_noise_and_weights() {

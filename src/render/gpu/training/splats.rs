@@ -84,8 +84,12 @@ impl Training<'_> {
         self.pipeline.front.n_splats = n;
         let capacity = self.pipeline.front.splats.capacity;
         let enough = capacity.min(self.most_splats).max(n);
+        if enough == capacity {
+            return Ok(());
+        }
         // Fewer splats also have fewer pairs than the lists may have grown for.
-        if enough < capacity { self.reallocate(enough, 0) } else { Ok(()) }
+        let [pairs, _] = self.list_lengths();
+        self.reallocate(enough, (pairs as f64 * (enough as f64 / capacity as f64)) as usize)
     }
 
     /// Capacity of buffers for `n` splats.
