@@ -260,12 +260,14 @@ impl UpArgs {
         self.up.unwrap_or(if file.y_up { Axis::Y } else { Axis::MinusY })
     }
 
-    /// How views around a scene without cameras stand, and how they could.
+    /// How views around a scene without cameras stand, and how they could where that was not stated.
     pub(super) fn said(&self, file: &SceneFile) -> String {
         let up = self.of(file);
         let name = up.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-        let other = if up == Axis::Z { "-y" } else { "z" };
-        format!("with {name} up (where it lies on its side, --up {other} or another axis)")
+        match self.up {
+            Some(_) => format!("with {name} up"),
+            None => format!("with {name} up (where it lies on its side, --up z or another axis)"),
+        }
     }
 }
 
