@@ -285,7 +285,7 @@ pub(super) fn cameras_around(
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
     let near = Some(near_of(file, radius));
-    let cameras = CameraFile { cameras, fps: None, y_up: false, times: vec![], near, images: None, notes: vec![] };
+    let cameras = CameraFile { cameras, near, ..CameraFile::default() };
     Ok(cameras.in_frame(file.y_up))
 }
 

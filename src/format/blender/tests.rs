@@ -95,8 +95,7 @@ fn keyed(centers: &[DVec3], change: impl Fn(&mut Value)) -> (Value, Vec<String>,
         .unwrap();
     let at_center = |c: &DVec3| (String::new(), Camera::new(*camera().intrinsics(), DMat3::IDENTITY, -*c).unwrap());
     let cameras = centers.iter().map(at_center).collect();
-    let path =
-        CameraFile { cameras, fps: Some(5.0), y_up: false, times: vec![], near: None, images: None, notes: vec![] };
+    let path = CameraFile { cameras, fps: Some(5.0), ..CameraFile::default() };
     write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &path).unwrap();
     let mut document: Value = serde_json::from_slice(&std::fs::read(at("b.gltf")).unwrap()).unwrap();
     change(&mut document);
@@ -162,15 +161,7 @@ fn what_is_refused_leaves_nothing_behind() {
     });
     // Times of a shot with too many frames.
     let times = vec![0.0, 1e4];
-    let path = CameraFile {
-        cameras: cameras.into(),
-        fps: Some(5.0),
-        y_up: false,
-        times,
-        near: None,
-        images: None,
-        notes: vec![],
-    };
+    let path = CameraFile { cameras: cameras.into(), fps: Some(5.0), times, ..CameraFile::default() };
     write_cameras_with_scene(&at("b.glb"), &at("a.glb"), &path).unwrap();
     let file = read_file(&at("b.glb"), &ReadOptions::default()).unwrap();
     let options = WriteOptions { cameras: &file.cameras, source: file.source.as_ref(), ..WriteOptions::default() };

@@ -22,7 +22,7 @@ use super::error::{Fault, some_of};
 use crate::scene::{Camera, frame};
 
 /// Cameras in display order.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct CameraFile {
     /// Cameras with their names; at least one if read from a file.
     pub cameras: Vec<(String, Camera)>,
@@ -182,7 +182,7 @@ pub(super) fn chosen(
         };
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
-    Ok(CameraFile { cameras, fps, y_up, times, near: None, images: None, notes })
+    Ok(CameraFile { cameras, fps, y_up, times, notes, ..CameraFile::default() })
 }
 
 /// Number of frames from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or

@@ -54,6 +54,8 @@ pub(super) mod moving;
 #[cfg(test)]
 mod moving_tests;
 mod nodes;
+#[cfg(test)]
+mod nodes_tests;
 mod notes;
 mod pose;
 mod read;

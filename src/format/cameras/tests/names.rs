@@ -37,8 +37,7 @@ fn names_of_pictures_are_safe_and_unique() {
         (["a.jpg", "A.jpg"], ["a.png", "A_2.png"]),
     ] {
         let cameras = vec![(given[0].to_owned(), first), (given[1].to_owned(), second)];
-        let file =
-            CameraFile { cameras, fps: None, y_up: false, times: vec![], near: None, images: None, notes: vec![] };
+        let file = CameraFile { cameras, ..CameraFile::default() };
         for name in ["a.json", "model"] {
             write_cameras(&folder.path().join(name), &file).unwrap();
             let back = capture::cameras(&folder.path().join(name), &LoadOptions::default()).unwrap();

@@ -46,15 +46,7 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
     for (name, y_up) in [("ours.gltf", false), ("theirs.gltf", true), ("moved.gltf", false)] {
         let before = read_file(&at(name), &ReadOptions::default()).unwrap();
         assert_eq!((before.y_up, before.cameras.len()), (y_up, 1), "{name}");
-        let file = CameraFile {
-            cameras: shot(7, 0.0),
-            fps: Some(25.0),
-            y_up,
-            times: vec![],
-            near: None,
-            images: None,
-            notes: vec![],
-        };
+        let file = CameraFile { cameras: shot(7, 0.0), fps: Some(25.0), y_up, ..CameraFile::default() };
         // A path replaces the previous one: by another path, by one with changing lenses, and by one with fewer frames.
         let paths = [shot(9, 0.0), shot(7, 0.0), shot(7, 1.5), shot(3, 1.5), shot(7, 0.0)];
         let mut from = at(name);
@@ -86,15 +78,7 @@ fn a_path_is_added_to_a_scene_of_either_frame() {
         assert!(largest_difference(&file.cameras, &back.in_frame(false).cameras) < 2e-5, "{name}");
     }
     let error = |out: &str, scene: &str| {
-        let file = CameraFile {
-            cameras: shot(1, 0.0),
-            fps: None,
-            y_up: false,
-            times: vec![],
-            near: None,
-            images: None,
-            notes: vec![],
-        };
+        let file = CameraFile { cameras: shot(1, 0.0), ..CameraFile::default() };
         write_cameras_with_scene(&at(out), &at(scene), &file).unwrap_err().to_string()
     };
     assert!(error("a.json", "ours.gltf").contains("expected a name that ends in .glb or .gltf"));
@@ -109,15 +93,7 @@ fn a_path_that_gives_way_leaves_nothing_of_it() {
     let cameras = [("front".to_owned(), camera())];
     let scene = random_scene(5, 0, 1, 4);
     write_scene(&at("a.glb"), &scene, &WriteOptions { cameras: &cameras, ..WriteOptions::default() }).unwrap();
-    let file = CameraFile {
-        cameras: shot(5, 0.0),
-        fps: Some(9.0),
-        y_up: false,
-        times: vec![],
-        near: None,
-        images: None,
-        notes: vec![],
-    };
+    let file = CameraFile { cameras: shot(5, 0.0), fps: Some(9.0), ..CameraFile::default() };
     write_cameras_with_scene(&at("b.gltf"), &at("a.glb"), &file).unwrap();
     let document =
         |name: &str| -> serde_json::Value { serde_json::from_slice(&std::fs::read(at(name)).unwrap()).unwrap() };

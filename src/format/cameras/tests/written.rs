@@ -9,15 +9,7 @@ use crate::format::{read_cameras, validate, write_cameras};
 fn what_is_written_is_read() {
     let folder = tempfile::tempdir().unwrap();
     for (frames, fps) in [(1, 24.0), (2, 30.0), (37, 29.97), (300, 60.0)] {
-        let file = CameraFile {
-            cameras: shot(frames, 0.0),
-            fps: Some(fps),
-            y_up: false,
-            times: vec![],
-            near: None,
-            images: None,
-            notes: vec![],
-        };
+        let file = CameraFile { cameras: shot(frames, 0.0), fps: Some(fps), ..CameraFile::default() };
         for (name, tolerance) in [("a.glb", 1e-5), ("a.gltf", 1e-5), ("a.usda", 1e-12)] {
             let path = folder.path().join(name);
             let bytes = write_cameras(&path, &file).unwrap();
@@ -52,15 +44,7 @@ fn what_is_written_is_read() {
 #[test]
 fn lenses_may_differ() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile {
-        cameras: shot(5, 1.5),
-        fps: Some(10.0),
-        y_up: false,
-        times: vec![],
-        near: None,
-        images: None,
-        notes: vec![],
-    };
+    let file = CameraFile { cameras: shot(5, 1.5), fps: Some(10.0), ..CameraFile::default() };
     let at = |name: &str| {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -80,15 +64,7 @@ fn lenses_may_differ() {
 #[test]
 fn frames_of_reference_are_kept_where_files_have_one() {
     let folder = tempfile::tempdir().unwrap();
-    let file = CameraFile {
-        cameras: shot(4, 0.0),
-        fps: Some(10.0),
-        y_up: true,
-        times: vec![],
-        near: None,
-        images: None,
-        notes: vec![],
-    };
+    let file = CameraFile { cameras: shot(4, 0.0), fps: Some(10.0), y_up: true, ..CameraFile::default() };
     for name in ["a.glb", "a.usda"] {
         let path = folder.path().join(name);
         write_cameras(&path, &file).unwrap();
@@ -115,15 +91,7 @@ fn frames_of_reference_are_kept_where_files_have_one() {
 fn captures_are_neither_replaced_nor_hidden() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    let file = CameraFile {
-        cameras: shot(3, 0.0),
-        fps: Some(9.0),
-        y_up: false,
-        times: vec![],
-        near: None,
-        images: None,
-        notes: vec![],
-    };
+    let file = CameraFile { cameras: shot(3, 0.0), fps: Some(9.0), ..CameraFile::default() };
     let write = |name: &str| write_cameras(&root.join(name), &file).map_err(|e| e.to_string());
     let refused = |name: &str, held: &str| {
         let path = root.join(name).display().to_string();
@@ -194,7 +162,7 @@ fn shots_keep_their_times() {
     for (start, fps, frames) in [(5.0, 30.0, 91), (0.25, 29.97, 40), (4000.1, 60.0, 7)] {
         let times: Vec<f64> = (0..frames).map(|i| start + f64::from(i) / fps).collect();
         let cameras = shot(times.len(), 0.0);
-        let file = CameraFile { cameras, fps: Some(fps), y_up: false, times, near: None, images: None, notes: vec![] };
+        let file = CameraFile { cameras, fps: Some(fps), times, ..CameraFile::default() };
         for name in ["a.glb", "a.usda"] {
             let path = folder.path().join(name);
             write_cameras(&path, &file).unwrap();
