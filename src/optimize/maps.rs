@@ -17,12 +17,16 @@ pub(super) fn with_room_for_charts<T>(
     loop {
         match make(size) {
             Err(TrainError::Geometry(GeometryError::AtlasTooSmall { .. })) if size < largest => {
-                // By a quarter: with a small budget, twice the side may leave nothing for splats.
-                size = size.saturating_add(size / 4).next_multiple_of(32).min(largest);
+                size = larger(size).min(largest);
             }
             made => return made,
         }
     }
+}
+
+/// Next larger side: by a quarter, since with a small budget twice the side may leave nothing for splats.
+pub(super) fn larger(side: u32) -> u32 {
+    side.saturating_add(side / 4).next_multiple_of(32)
 }
 
 /// A mesh with empty maps ([`textured`]) on the charts of `unwrapped`.

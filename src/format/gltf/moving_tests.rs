@@ -536,6 +536,16 @@ fn bound_splats_below_flat_nodes_are_on_their_triangle() {
         });
         assert_eq!(still.rest().scene.splats, rest.scene.splats);
     }
+    let not_drawn = "/nodes/1: splats under a flat transform are not drawn".to_owned();
+    // Nor are they drawn if their triangles are flat, too.
+    let file = bound("node", |document| {
+        flat(document);
+        document["nodes"][0]["scale"] = json!([0, 0, 0]);
+        document.as_object_mut().unwrap().remove("animations");
+    });
+    let rest = file.rest();
+    assert!(rest.notes.contains(&not_drawn), "{:?}", rest.notes);
+    assert_eq!(rest.scene.splats.len() + 1, bound("node", |_| ()).rest().scene.splats.len());
     // Where the binding does not hold, they have no place, and others follow their bones as ever.
     let file = bound("node", |document| {
         flat(document);
@@ -543,7 +553,7 @@ fn bound_splats_below_flat_nodes_are_on_their_triangle() {
         khr["extensions"][HYBRID]["binding"]["triangleCount"] = json!(7);
     });
     let notes = file.rest().notes;
-    assert!(notes.contains(&"/nodes/1: splats under a flat transform are not drawn".to_owned()), "{notes:?}");
+    assert!(notes.contains(&not_drawn), "{notes:?}");
     near(bytemuck::cast_slice(file.at(1.0).scene.splats.means()), &[1.0, 0.0, 2.0], 1e-6);
 }
 

@@ -115,6 +115,9 @@ fn drawn(above: DMat4, copies: Option<&[DMat4]>) -> (Vec<DMat4>, Option<&'static
     (transforms, note)
 }
 
+/// What is added to [`NOT_DRAWN`] where other poses may show them.
+const IN_REST: &str = " in the rest pose";
+
 /// Splats of a primitive at a node.
 struct Hung<'a> {
     part: SplatArrays,
@@ -159,6 +162,12 @@ impl Hung<'_> {
                 Ok((mut binding, moves)) => {
                     let mesh = &read.meshes[binding.surface];
                     let hidden = if is_held { binding.settle(&mut part, mesh) } else { None };
+                    if hidden.is_some() {
+                        notes.push(format!("/nodes/{node}: {NOT_DRAWN}{}", if moves { IN_REST } else { "" }));
+                    }
+                    if hidden.is_some() && !moves && part.opacity_logits.iter().all(|logit| *logit == HIDDEN) {
+                        return Ok(None);
+                    }
                     let anchor = Anchor::Triangles(binding);
                     return Ok(Some((part, moves.then_some(AttachedSplats { splats, anchor, hidden }))));
                 }
@@ -170,7 +179,7 @@ impl Hung<'_> {
             return Ok(None);
         }
         let hidden = is_held.then(|| {
-            notes.push(format!("/nodes/{node}: {NOT_DRAWN} in the rest pose"));
+            notes.push(format!("/nodes/{node}: {NOT_DRAWN}{IN_REST}"));
             std::mem::replace(&mut part.opacity_logits, vec![HIDDEN; splats.len()])
         });
         let attachment = moves.then(|| AttachedSplats { splats, anchor: Anchor::Bone(read.poses.bone(node)), hidden });

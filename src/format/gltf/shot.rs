@@ -114,8 +114,12 @@ pub(super) fn take_out(document: &mut Value) -> BTreeSet<u64> {
     for animation in items(document, "animations") {
         let is_still = |index: &Value| index.as_u64().is_some_and(|i| still.contains(&i));
         retain(animation, "channels", |_, channel| !channel.pointer("/target/node").is_some_and(is_still));
+        // What another program has added to the path's animation is none of a path.
+        if let Some(ours) = animation.pointer_mut(&format!("/extras/{EXTRAS}")).and_then(Value::as_object_mut) {
+            ours.remove(FPS);
+        }
     }
-    retain(document, "animations", |_, animation| !of_ours(animation, FPS) && animation.get("channels").is_some());
+    retain(document, "animations", |_, animation| animation.get("channels").is_some());
     nodes
 }
 

@@ -226,13 +226,15 @@ fn laid_out_anew(
 ) -> Result<Option<Mesh>, TrainError> {
     let (part, uvs) = (geometry::compact(part(mesh, keep)), kept(mesh.corner_uvs(), keep));
     let largest = mesh.atlas().base().width();
-    let within = |most: u32| {
+    let within = |size: u32, most: u32| {
         maps::with_room_for_charts(size, most, |size| {
             lay_out(geometry::unwrap(&part, chart_space, size, gutter)?, &uvs, mesh.atlas(), size)
         })
     };
-    let anew = match within(most) {
-        Err(TrainError::Geometry(geometry::GeometryError::AtlasTooSmall { .. })) if most < largest => within(largest),
+    let anew = match within(size, most) {
+        Err(TrainError::Geometry(geometry::GeometryError::AtlasTooSmall { .. })) if most < largest => {
+            within(maps::larger(most).min(largest), largest)
+        }
         made => made,
     };
     Ok(match or_why_not(anew)? {

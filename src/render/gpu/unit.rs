@@ -20,6 +20,10 @@ const FARTHEST: f64 = (1_u64 << 30) as f64;
 /// 2³² times that, so up to 64 times the distance.
 const FARTHEST_OF_KEYS: f64 = (1_u64 << 26) as f64;
 
+/// Distance, as a power of two, to which others are brought. Sort keys then count from a 2²⁵th of it, and distinguish
+/// depths up to some 100 times it.
+const USUAL: i32 = 8;
+
 /// Approximate number of points whose distance is measured.
 const MOST: usize = 1 << 16;
 
@@ -83,7 +87,7 @@ impl Unit {
     }
 }
 
-/// Factor on lengths for a scene at this distance from its cameras, with this near plane: makes the distance 1 to 2,
+/// Factor on lengths for a scene at this distance from its cameras, with this near plane: makes the distance 2⁸ to 2⁹,
 /// unless it is a usual one.
 fn factor(distance: f64, near: f32) -> f64 {
     let are_distinct = distance >= 1.0 || near >= LEAST_DEPTH;
@@ -91,7 +95,7 @@ fn factor(distance: f64, near: f32) -> f64 {
     if (are_distinct && distance <= farthest) || !distance.is_normal() {
         return 1.0;
     }
-    2_f64.powi(-(distance.log2().floor() as i32))
+    2_f64.powi(USUAL - distance.log2().floor() as i32)
 }
 
 /// Median distance of splats and vertices from the cameras, where each is measured from one of these in turn; `None`
@@ -128,21 +132,27 @@ mod tests {
             assert_eq!(factor(distance, near), 1.0, "{distance} {near}");
         }
         for (distance, near, expected) in [
-            (5e-6, 2e-7, 2_f64.powi(18)),
-            (0.75, 9e-6, 2.0),
-            (1e-30, 1e-31, 2_f64.powi(100)),
-            (1.5 * FARTHEST, 0.2, 1.0 / FARTHEST),
-            (1e30, 1e29, 2_f64.powi(-99)),
+            (5e-6, 2e-7, 2_f64.powi(26)),
+            (0.75, 9e-6, 512.0),
+            (1e-30, 1e-31, 2_f64.powi(108)),
+            (1.5 * FARTHEST, 0.2, 256.0 / FARTHEST),
+            (1e30, 1e29, 2_f64.powi(-91)),
             // Depths beyond the range of keys that count from so near.
-            (1e5, 1e-6, 2_f64.powi(-16)),
-            (1e7, 1e-3, 2_f64.powi(-23)),
-            (9e8, 0.2, 2_f64.powi(-29)),
+            (1e5, 1e-6, 2_f64.powi(-8)),
+            (1e7, 1e-3, 2_f64.powi(-15)),
+            (9e8, 0.2, 2_f64.powi(-21)),
             // Nothing is known of the size.
             (0.0, 1e-9, 1.0),
             (f64::INFINITY, 1.0, 1.0),
             (f64::NAN, 1e-9, 1.0),
         ] {
             assert_eq!(factor(distance, near), expected, "{distance} {near}");
+        }
+        // Beyond the limit, keys begin at about the same depth of the world as before it.
+        for near in [1e-5, 0.01, 0.2] {
+            let unit = factor(1.01 * FARTHEST_OF_KEYS * f64::from(near), near);
+            let first = f64::from(LEAST_DEPTH).max(unit * f64::from(near)) / unit;
+            assert!((1.0..3.0).contains(&(first / f64::from(near))), "{near}: {first}");
         }
     }
 
@@ -157,7 +167,7 @@ mod tests {
         scene.composition.lambda = f32::INFINITY;
         let [small, back] = [2_f64.powi(-40), 2_f64.powi(40)].map(|factor| Unit { factor });
         let there = small.scene(&scene).unwrap().into_owned();
-        let to_one = 2_f64.powi(40 - distance.log2().floor() as i32);
+        let to_one = 2_f64.powi(48 - distance.log2().floor() as i32);
         assert_eq!(Unit::of(&there, &[small.camera(&camera)]), Unit { factor: to_one });
         let again = back.scene(&there).unwrap().into_owned();
         assert_eq!((again.splats.means(), &again.meshes), (scene.splats.means(), &scene.meshes));

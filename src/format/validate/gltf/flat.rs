@@ -18,28 +18,41 @@ const CODE: &str = "SPLAT_FLAT";
 /// Reports splats below flat transforms, except where an animation moves these.
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     let nodes: Vec<(String, &Value)> = objects(document.root, "nodes", "").collect();
-    let (of_splats, moving) = (meshes_of_splats(document.root), moving_nodes(document.root));
+    let flat = flat_nodes(document, &nodes);
+    let placed_by = nodes_of_splats(document.root);
+    for (i, (at, node)) in nodes.iter().enumerate() {
+        let Some(placed_by) = index(node, "mesh").and_then(|mesh| placed_by.get(mesh)) else { continue };
+        // The transform of a node with a skin has no effect on the triangles to which splats are bound.
+        let is_skinned = |i: usize| nodes.get(i).is_some_and(|(_, node)| node.get("skin").is_some());
+        let hides = |placing: &Option<usize>| match placing {
+            None => flat[i],
+            Some(bound) => flat.get(*bound) == Some(&true) && !is_skinned(*bound),
+        };
+        if placed_by.iter().any(hides) {
+            findings.warning(CODE, at, "an invertible transform above splats, else they are not drawn", "a flat one");
+        } else if placed_by.contains(&None) {
+            check_copies(document, node, at, findings);
+        }
+    }
+}
+
+/// Which nodes have a flat transform that no animation moves.
+fn flat_nodes(document: &Document<'_>, nodes: &[(String, &Value)]) -> Vec<bool> {
+    let moving = moving_nodes(document.root);
     let below: HashSet<usize> = nodes.iter().flat_map(|(_, node)| children(node, nodes.len())).collect();
     let tops = (0..nodes.len()).filter(|i| !below.contains(i));
     let mut stack: Vec<(usize, DMat4, bool)> = tops.map(|i| (i, DMat4::IDENTITY, false)).collect();
-    let mut seen = vec![false; nodes.len()];
+    let (mut seen, mut flat) = (vec![false; nodes.len()], vec![false; nodes.len()]);
     while let Some((i, above, moves)) = stack.pop() {
         // A node of several parents is a fault of its own.
         if std::mem::replace(&mut seen[i], true) {
             continue;
         }
-        let (at, node) = &nodes[i];
-        let (transform, moves) = (above * linear(node), moves || moving.contains(&i));
-        if index(node, "mesh").is_some_and(|mesh| of_splats.contains(&mesh)) {
-            if is_flat(transform) && !moves {
-                let expected = "an invertible transform above splats, else they are not drawn";
-                findings.warning(CODE, at, expected, "a flat one");
-            } else {
-                check_copies(document, node, at, findings);
-            }
-        }
-        stack.extend(children(node, nodes.len()).into_iter().map(|child| (child, transform, moves)));
+        let (transform, moves) = (above * linear(nodes[i].1), moves || moving.contains(&i));
+        flat[i] = is_flat(transform) && !moves;
+        stack.extend(children(nodes[i].1, nodes.len()).into_iter().map(|child| (child, transform, moves)));
     }
+    flat
 }
 
 /// Reports instances without extent along an axis; those without any are hidden on purpose.
@@ -61,15 +74,17 @@ fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut 
     }
 }
 
-/// Meshes with splats that their node places: triangles to which splats are bound replace its transform.
-fn meshes_of_splats(root: &Value) -> HashSet<usize> {
-    let is_bound = |khr: &Value| extension_of(khr, HYBRID).is_some_and(|object| object.get("binding").is_some());
-    let is_of_splats = |(at, mesh): &(String, &Value)| {
-        objects(mesh, "primitives", at)
-            .any(|(_, primitive)| extension_of(primitive, KHR_SPLATS).is_some_and(|khr| !is_bound(khr)))
+/// Per mesh, the nodes that place its splats: `None` for the one that has the mesh, else that of the triangles to which
+/// splats are bound.
+fn nodes_of_splats(root: &Value) -> Vec<Vec<Option<usize>>> {
+    let placing = |primitive: &Value| {
+        let khr = extension_of(primitive, KHR_SPLATS)?;
+        Some(extension_of(khr, HYBRID).and_then(|object| index(object.get("binding")?, "node")))
     };
-    let meshes = objects(root, "meshes", "").enumerate();
-    meshes.filter(|(_, mesh)| is_of_splats(mesh)).map(|(i, _)| i).collect()
+    let of_mesh = |(at, mesh): (String, &Value)| {
+        objects(mesh, "primitives", &at).filter_map(|(_, primitive)| placing(primitive)).collect()
+    };
+    objects(root, "meshes", "").map(of_mesh).collect()
 }
 
 /// Nodes whose own transform is animated.

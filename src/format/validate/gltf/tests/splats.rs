@@ -72,13 +72,27 @@ fn unbind(file: &mut File) {
 #[test]
 fn flat_transforms_that_move_or_place_no_splats_are_no_fault() {
     let mut file = everything();
-    node_of(&mut file, SURFACE)["scale"] = json!([0, 0, 0]);
-    assert_eq!(file.codes(), [""; 0]);
     // Bound splats are on their triangles.
     node_of(&mut file, SPLATS)["scale"] = json!([0, 0, 0]);
     assert_eq!(file.codes(), [""; 0]);
+    // If these move, they are not flat at all times.
+    node_of(&mut file, SURFACE)["scale"] = json!([0, 0, 0]);
+    assert_eq!(file.codes(), [""; 0]);
+    let mut still = everything();
+    still.json.as_object_mut().unwrap().remove("animations");
+    assert_eq!(still.codes(), [""; 0]);
+    node_of(&mut still, SURFACE)["scale"] = json!([0, 0, 0]);
+    assert_eq!(still.codes(), ["SPLAT_FLAT"]);
+    // The transform of a node with a skin has no effect.
+    node_of(&mut still, SURFACE)["skin"] = json!(0);
+    assert!(!still.codes().contains(&"SPLAT_FLAT"));
+    node_of(&mut file, SURFACE)["scale"] = json!([1, 1, 1]);
     unbind(&mut file);
     assert_eq!(file.codes(), ["SPLAT_FLAT"]);
+    node_of(&mut file, SPLATS)["scale"] = json!([1, 1, 1]);
+    node_of(&mut file, SURFACE)["scale"] = json!([0, 0, 0]);
+    assert_eq!(file.codes(), [""; 0]);
+    node_of(&mut file, SPLATS)["scale"] = json!([0, 0, 0]);
     let is_splats = |node: &Value| node["mesh"] == json!(SPLATS);
     let node = file.json["nodes"].as_array().unwrap().iter().position(is_splats).unwrap();
     file.json["animations"][0]["channels"][0]["target"]["node"] = json!(node);
