@@ -2,6 +2,7 @@
 
 mod args;
 mod notes;
+mod surface;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

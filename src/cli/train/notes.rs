@@ -12,7 +12,8 @@ use centaur::scene::Camera;
 use glam::DVec3;
 use image::ImageFormat;
 
-use super::args::{Args, DensityKind, SurfaceOf};
+use super::args::{Args, DensityKind};
+use super::surface::SurfaceOf;
 use crate::cli::{shared, shell};
 
 pub(super) fn in_words(surface: SurfaceOrigin) -> &'static str {
