@@ -87,6 +87,9 @@ pub(in crate::cli) struct Args {
     #[arg(long, value_name = "N", value_parser = output::at_least_one, help_heading = OPTIMISATION)]
     pub(super) max_splats: Option<usize>,
     /// Degree of the spherical harmonics of the splats (INRIA 3DGS: 3)
+    ///
+    /// A splat of degree 3 has 59 floats, one of degree 1 has 23, with which a small --max-floats or --budget-mb shows
+    /// more (docs/experiments.md).
     #[arg(long, value_name = "0..3", default_value_t = TrainOptions::default().sh_degree, help_heading = OPTIMISATION,
           value_parser = clap::value_parser!(u32).range(0..=3))]
     pub(super) sh_degree: u32,
