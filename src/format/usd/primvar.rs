@@ -7,7 +7,7 @@ use super::inherited::interpolation;
 use super::stage::{Placed, Stage};
 use crate::format::error::Fault;
 
-/// Prim that has the primvar `name`, one of [`INHERITED`], of a placed prim: that itself, or one above.
+/// Prim that has the primvar `name`, one that is inherited, of a placed prim: that itself, or one above.
 pub(super) fn holder(stage: &Stage<'_>, placed: &Placed, name: &str) -> Option<usize> {
     let is_own = stage.prims[placed.prim].value(name).is_some();
     if is_own { Some(placed.prim) } else { placed.constants.of(name) }
@@ -78,7 +78,7 @@ pub(super) struct Means<const N: usize> {
 }
 
 impl<const N: usize> Means<N> {
-    /// Means of the primvar `name`, one of [`INHERITED`].
+    /// Means of the primvar `name`, one that is inherited.
     pub(super) fn new(name: &'static str) -> Self {
         Self { name, known: HashMap::new() }
     }
