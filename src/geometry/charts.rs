@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::raster::pixels_around;
-use super::surface::first_at_place;
+use super::surface::{area_normal, first_at_place};
 
 /// A piece of the surface and its planar projection.
 pub(super) struct Chart {
@@ -40,7 +40,7 @@ struct Faces {
 /// are in none. `texel` is the expected size of a texel in world units, `max_side` the largest extent of a chart.
 /// Positions must be finite. Deterministic.
 pub(super) fn cut(corners: Vec<[DVec3; 3]>, texel: f64, max_side: f64) -> Vec<Chart> {
-    let normals: Vec<DVec3> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a)).collect();
+    let normals: Vec<DVec3> = corners.par_iter().map(|t| area_normal(*t)).collect();
     let neighbors = neighbors(&corners);
     let smooth = smooth_normals(&normals, &neighbors);
     let faces = Faces { corners, normals, smooth, neighbors };

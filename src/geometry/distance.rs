@@ -4,7 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{MeshBvh, Surface};
+use super::{MeshBvh, Surface, surface::area_normal};
 
 /// Number of samples of each surface.
 const SAMPLES: usize = 200_000;
@@ -95,7 +95,7 @@ fn spread(surface: &Surface, ball: Ball) -> Option<Vec<DVec3>> {
     let corners = |t: &[u32; 3]| Some([corner(t[0])?, corner(t[1])?, corner(t[2])?]);
     let triangles: Vec<[DVec3; 3]> =
         surface.triangles.iter().filter_map(corners).filter(|t| ball.may_meet(t)).collect();
-    let areas = triangles.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length());
+    let areas = triangles.iter().map(|t| 0.5 * area_normal(*t).length());
     let mut end = 0.0;
     let ends: Vec<f64> = areas
         .map(|area| {

@@ -69,10 +69,10 @@ fn for_each_texel(mesh: &Mesh, face: usize, size: [usize; 2], mut each: impl FnM
 
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, Vec2, Vec3};
+    use glam::{Vec2, Vec3};
 
     use super::*;
-    use crate::scene::{Atlas, Camera, Intrinsics, Texture};
+    use crate::scene::{Atlas, Camera, Texture, testing::ahead};
 
     /// Unit squares across z at depth 2, one below the other in one atlas, each with its x, depth and opacity.
     fn squares(squares: &[(f32, f32, f32)], side: u32) -> Mesh {
@@ -98,8 +98,7 @@ mod tests {
     }
 
     fn camera() -> Camera {
-        let intrinsics = Intrinsics { width: 100, height: 100, fx: 50.0, fy: 50.0, cx: 50.0, cy: 50.0 };
-        Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap()
+        ahead([100, 100], 50.0, DVec3::ZERO)
     }
 
     fn faint_squares(mesh: &Mesh, cameras: &[Camera], near: f64) -> Vec<bool> {

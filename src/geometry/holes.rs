@@ -8,7 +8,7 @@ use spade::{
     AngleLimit, ConstrainedDelaunayTriangulation, HasPosition, Point2, RefinementParameters, Triangulation as _,
 };
 
-use super::surface::Surface;
+use super::surface::{Surface, area_normal};
 use crate::stats::median;
 
 /// Most edges around a hole that is closed: about 13 voxels across on an iso-surface.
@@ -62,7 +62,6 @@ impl From<Point2<f64>> for Corner {
 /// The cost is linear in the triangles: the content of a hole is looked up in the cells of a grid around it, with at
 /// most [`MOST_LOOKS`] visits per vertex in all. If the surroundings of all holes exceed that, the largest holes stay
 /// open.
-#[must_use]
 pub(super) fn without_holes(surface: Surface) -> (Surface, usize) {
     let looks = MOST_LOOKS.saturating_mul(surface.positions.len());
     closed_within(surface, looks)
@@ -144,8 +143,8 @@ fn boundaries(surface: &Surface) -> Vec<Edge> {
     let mut next: BTreeMap<u32, Option<(u32, DVec3)>> = BTreeMap::new();
     for t in &surface.triangles {
         for (a, b) in corners(t).into_iter().filter(|&(a, b)| count[&(a, b)] == 1 && !count.contains_key(&(b, a))) {
-            let [p, q, r] = t.map(|v| surface.positions[v as usize].as_dvec3());
-            next.entry(a).and_modify(|n| *n = None).or_insert_with(|| Some((b, (q - p).cross(r - p))));
+            let places = t.map(|v| surface.positions[v as usize].as_dvec3());
+            next.entry(a).and_modify(|n| *n = None).or_insert_with(|| Some((b, area_normal(places))));
         }
     }
     let mut found = vec![];

@@ -97,11 +97,9 @@ fn opacity(mesh: &Mesh, hit: &Hit) -> f64 {
 #[cfg(test)]
 mod tests {
     use glam::{DVec2, Quat, Vec2, Vec3};
-    use rand::{RngExt, SeedableRng};
 
     use super::*;
-    use crate::geometry::tests::{orbit, sphere};
-    use crate::scene::{Atlas, Camera, Intrinsics, SplatArrays, Texture};
+    use crate::scene::{Atlas, Camera, SplatArrays, Texture, testing::ahead};
 
     /// A square of side 2 across z at depth `z`, with these opacities in its quarters (u, v) = (0, 0), (1, 0), (0, 1),
     /// (1, 1).
@@ -138,8 +136,7 @@ mod tests {
 
     /// A camera that looks along z from this z.
     fn camera(z: f64) -> Camera {
-        let intrinsics = Intrinsics { width: 100, height: 100, fx: 50.0, fy: 50.0, cx: 50.0, cy: 50.0 };
-        Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, -z)).unwrap()
+        ahead([100, 100], 50.0, z * DVec3::Z)
     }
 
     fn occluded(splats: &Splats, meshes: &[Mesh], cameras: &[Camera], near: f64, layers: usize) -> Vec<bool> {
@@ -196,35 +193,6 @@ mod tests {
         for meshes in [[upper.clone(), lower.clone()], [lower, upper]] {
             assert_eq!(found(&meshes), [true, false, true, true, true]);
         }
-    }
-
-    #[test]
-    #[ignore = "a measurement"]
-    fn time_of_many_splats() {
-        let n = 100_000;
-        let mut rng = rand_pcg::Pcg64::seed_from_u64(1);
-        let mut near = |least: f32, most: f32| {
-            let p = Vec3::from_array([0; 3].map(|_| rng.random_range(-1.0..1.0_f32))).normalize_or(Vec3::X);
-            p * rng.random_range(least..most)
-        };
-        // Nine in ten splats are outside a sphere, the others inside.
-        let means: Vec<Vec3> = (0..n).map(|i| if i % 10 == 0 { near(0.1, 0.8) } else { near(1.01, 1.2) }).collect();
-        let arrays = SplatArrays {
-            sh_degree: 0,
-            means,
-            rotations: vec![Quat::IDENTITY; n],
-            log_scales: vec![Vec3::splat(0.01_f32.ln()); n],
-            opacity_logits: vec![0.0; n],
-            sh: vec![[0.0; 3]; n],
-        };
-        let sphere = sphere(200, Vec3::ZERO, 1.0);
-        let base = Texture::new(1, 1, 4, vec![0.0, 0.0, 0.0, 6.0]).unwrap();
-        let uvs = vec![[Vec2::splat(0.5); 3]; sphere.triangles.len()];
-        let mesh = Mesh::new(sphere.positions, sphere.triangles, uvs, Atlas::new(base, None).unwrap()).unwrap();
-        let cameras = orbit(200, 1920, 1080);
-        let (splats, start) = (arrays.check().unwrap(), std::time::Instant::now());
-        let found = occluded(&splats, &[mesh], &cameras, 0.1, 1).iter().filter(|o| **o).count();
-        eprintln!("{found} of {n} occluded, {:.1} s", start.elapsed().as_secs_f64());
     }
 
     #[test]

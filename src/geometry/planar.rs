@@ -7,7 +7,7 @@ use glam::{DMat2, DVec2, DVec3};
 
 use super::Contraction;
 use super::smooth::{Rings, directions};
-use super::surface::{Surface, compact, without_broken};
+use super::surface::{Surface, area_normal, compact, without_broken};
 
 /// Largest distance of a vertex from its plane, voxels. The noise that smoothing leaves is below that.
 const TOLERANCE: f64 = 1.0;
@@ -79,7 +79,6 @@ impl Plane {
 /// was. With a `contraction` the surface and its voxels lie in contracted space, while flatness is judged in the world.
 /// `voxel` is the edge length of a voxel. Also returns which vertices `[V]` a simplification to `target_triangles`
 /// should keep, lest the triangles of planes become much larger than those of the rest.
-#[must_use]
 pub(super) fn flatten(
     surface: Surface,
     voxel: f64,
@@ -96,7 +95,7 @@ pub(super) fn flatten(
     sheet.close(&planes, &mut of_vertex);
     let (positions, planes_of) = sheet.snapped(&surface.triangles, &planes, &of_vertex);
     let places: Vec<DVec3> = positions.iter().map(|p| sheet.place(*p)).collect();
-    let area: f64 = surface.triangles.iter().map(|t| 0.5 * cross(&places, t).length()).sum();
+    let area: f64 = surface.triangles.iter().map(|t| 0.5 * area_normal(t.map(|v| places[v as usize])).length()).sum();
     let mean = area / target_triangles.clamp(1, surface.triangles.len()) as f64;
     let longest = COARSENESS * (mean * 4.0 / 3.0_f64.sqrt()).sqrt();
     let moved = places.iter().zip(&planes_of).zip(&mut surface.positions).filter(|m| !m.0.1.is_empty());
@@ -163,7 +162,7 @@ impl Sheet {
         let directions = directions(&positions, &surface.triangles, &rings, RADIUS);
         let mut areas = vec![0.0; positions.len()];
         for t in &surface.triangles {
-            let area = cross(&places, t).length() / 6.0;
+            let area = area_normal(t.map(|v| places[v as usize])).length() / 6.0;
             t.iter().for_each(|&v| areas[v as usize] += area);
         }
         Self { contraction, positions, places, rings, directions, areas }
@@ -365,22 +364,17 @@ impl Sheet {
             let folds = |t: &&[u32; 3]| {
                 let expected = match common_plane(&planes_of, t) {
                     Some(plane) => planes[plane as usize].normal,
-                    None => cross(&self.positions, t),
+                    None => area_normal(t.map(|v| self.positions[v as usize])),
                 };
-                let [a, b, c] = t.map(|v| self.place(positions[v as usize]));
-                cross(&positions, t).dot(expected) <= 0.0 || (b - a).cross(c - a).length() <= THINNEST
+                let corners = t.map(|v| positions[v as usize]);
+                let placed = corners.map(|p| self.place(p));
+                area_normal(corners).dot(expected) <= 0.0 || area_normal(placed).length() <= THINNEST
             };
             back = triangles.iter().filter(folds).flatten().map(|&v| v as usize).collect();
             back.sort_unstable();
             back.dedup();
         }
     }
-}
-
-/// Normal of a triangle, as long as twice its area.
-fn cross(positions: &[DVec3], t: &[u32; 3]) -> DVec3 {
-    let [a, b, c] = t.map(|v| positions[v as usize]);
-    (b - a).cross(c - a)
 }
 
 fn common_plane(planes_of: &[Vec<u32>], t: &[u32; 3]) -> Option<u32> {
@@ -459,8 +453,8 @@ impl<'a> Planar<'a> {
         let normal = self.planes[self.plane_of_face[face as usize] as usize].normal;
         let [a, b, c] = t.map(|v| self.places[v as usize]);
         let squares = a.distance_squared(b) + b.distance_squared(c) + c.distance_squared(a);
-        let area = (b - a).cross(c - a).length();
-        let is_up = area > THINNEST && cross(self.positions, &t).dot(normal) > 0.0;
+        let area = area_normal([a, b, c]).length();
+        let is_up = area > THINNEST && area_normal(t.map(|v| self.positions[v as usize])).dot(normal) > 0.0;
         if is_up { 2.0 * 3.0_f64.sqrt() * area / squares } else { -1.0 }
     }
 

@@ -9,7 +9,7 @@ use super::fusion::{Fusion, FusionOptions};
 use super::holes::without_holes;
 use super::planar::{PlanarStats, flatten};
 use super::smooth::{smooth, without_rough};
-use super::surface::{Surface, clean, simplify};
+use super::surface::{Surface, clean, simplified};
 use super::{Contraction, GeometryError};
 use crate::scene::Camera;
 
@@ -123,10 +123,7 @@ pub fn surface_from_fusion(
     } else {
         (flat, keep) = (even, vec![]);
     }
-    let simplified = simplify(&flat, &keep, options.target_triangles);
+    let simplified = simplified(&flat, &keep, options.target_triangles)?;
     stats.simplified = simplified.triangles.len();
-    if stats.simplified == 0 {
-        return Err(GeometryError::EmptySurface { step: "simplification", hint: "too few triangles were asked for" });
-    }
     Ok((fusion.expanded(simplified), stats))
 }

@@ -153,18 +153,16 @@ fn icosphere(subdivisions: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
 
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, DVec2};
+    use glam::DVec2;
 
     use super::*;
-    use crate::scene::Intrinsics;
+    use crate::scene::testing::ahead;
 
     const NEAR: f64 = 0.2;
 
     /// Cameras at x = −1, 0, 1 that look along z with a field of view of 53° × 37°.
     fn cameras() -> Vec<Camera> {
-        let intrinsics = Intrinsics { width: 150, height: 100, fx: 150.0, fy: 150.0, cx: 75.0, cy: 50.0 };
-        let at = |x: f64| Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(-x, 0.0, 0.0)).unwrap();
-        [-1.0, 0.0, 1.0].map(at).to_vec()
+        [-1.0, 0.0, 1.0].map(|x: f64| ahead([150, 100], 150.0, x * DVec3::X)).to_vec()
     }
 
     fn viewers(cameras: &[Camera], near: f64) -> Viewers<'_> {

@@ -93,15 +93,14 @@ impl Sight {
 
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, Vec3};
+    use glam::Vec3;
 
     use super::*;
-    use crate::scene::Intrinsics;
+    use crate::scene::testing::ahead;
 
     /// A camera at (1, 0, 0) that looks along z.
     fn camera() -> Camera {
-        let intrinsics = Intrinsics { width: 100, height: 100, fx: 50.0, fy: 50.0, cx: 50.0, cy: 50.0 };
-        Camera::new(intrinsics, DMat3::IDENTITY, -DVec3::X).unwrap()
+        ahead([100, 100], 50.0, DVec3::X)
     }
 
     /// Triangles across z at these depths, around the axis of [`camera`].

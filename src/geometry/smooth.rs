@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::surface::{Surface, compact};
+use super::surface::{Surface, area_normal, compact};
 
 /// Factors of Taubin smoothing: each step forward is followed by a slightly longer one back, which preserves shapes
 /// larger than some ten edges (pass band 0.1) and does not shrink them.
@@ -109,11 +109,10 @@ pub fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
 pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Rings, radius: usize) -> Vec<DVec3> {
     let mut normals = vec![(DVec3::ZERO, 0.0_f64); positions.len()];
     for t in triangles {
-        let [a, b, c] = t.map(|v| positions[v as usize]);
-        let cross = (b - a).cross(c - a);
+        let normal = area_normal(t.map(|v| positions[v as usize]));
         for &v in t {
-            normals[v as usize].0 += cross;
-            normals[v as usize].1 += cross.length();
+            normals[v as usize].0 += normal;
+            normals[v as usize].1 += normal.length();
         }
     }
     // A random walk of n² steps reaches some n edges.
@@ -132,7 +131,6 @@ pub(super) fn directions(positions: &[DVec3], triangles: &[[u32; 3]], rings: &Ri
 }
 
 /// Drops triangles around which normals cancel, as in a heap of crumbs. Indices must be in range.
-#[must_use]
 pub(super) fn without_rough(surface: Surface) -> Surface {
     let rings = Rings::new(surface.positions.len(), &surface.triangles);
     let Surface { positions, mut triangles } = surface;

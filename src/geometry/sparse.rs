@@ -377,12 +377,11 @@ fn depth_map(camera: &Camera, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<f3
 /// A sphere and a floor under it, seen from all around above.
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg32;
 
     use super::*;
-    use crate::scene::Intrinsics;
+    use crate::scene::{Intrinsics, testing::ahead};
 
     const FLOOR: f64 = 1.2;
 
@@ -391,11 +390,8 @@ mod tests {
         let ring = |i: u32, n: u32, height: f64| {
             let (s, c) = (std::f64::consts::TAU * f64::from(i) / f64::from(n)).sin_cos();
             let eye = DVec3::new(4.0 * c, -height, 4.0 * s);
-            let z = (DVec3::new(0.0, 0.3, 0.0) - eye).normalize();
-            let x = DVec3::Y.cross(z).normalize();
-            let rotation = DMat3::from_cols(x, z.cross(x), z).transpose();
             let k = Intrinsics { width: 400, height: 300, fx: 380.0, fy: 380.0, cx: 200.0, cy: 150.0 };
-            Camera::new(k, rotation, -(rotation * eye)).unwrap()
+            Camera::look_at(k, eye, DVec3::new(0.0, 0.3, 0.0), DVec3::NEG_Y).unwrap()
         };
         (0..14).map(|i| ring(i, 14, 0.8)).chain((0..10).map(|i| ring(i, 10, 2.4))).collect()
     }
@@ -458,8 +454,7 @@ mod tests {
 
     #[test]
     fn edges_that_views_agree_on_are_kept_in_all() {
-        let k = Intrinsics { width: 400, height: 400, fx: 300.0, fy: 300.0, cx: 200.0, cy: 200.0 };
-        let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+        let camera = ahead([400, 400], 300.0, DVec3::ZERO);
         // A kite, which Delaunay triangulation splits along the shorter diagonal.
         let points = [[-1.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.5, 3.0], [0.0, -0.5, 3.0]].map(Vec3::from);
         let has = |triangles: &[[u32; 3]], edge: [u32; 2]| {

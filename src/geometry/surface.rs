@@ -3,6 +3,7 @@ use std::collections::{HashMap, HashSet};
 use glam::{DVec3, Vec3};
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 
+use super::GeometryError;
 use crate::scene::without_unused;
 
 /// Bare geometry: positions `[V]` in world space and triangles `[F]` of indices into them, counter-clockwise from
@@ -19,7 +20,6 @@ pub struct Surface {
 /// Keeps the `keep_components` largest connected components (triangles that share a vertex) of at least
 /// `min_component_faces` triangles. Drops broken triangles (index out of range, position not finite), triangles that
 /// have no area or repeat another one's corners, and unused vertices. The order of what is kept does not change.
-#[must_use]
 pub(super) fn clean(surface: Surface, min_component_faces: usize, keep_components: usize) -> Surface {
     let mut surface = without_broken(surface);
     let component = components(&surface);
@@ -53,7 +53,6 @@ pub fn components(surface: &Surface) -> Vec<u32> {
 /// Simplifies to at most about `target_triangles` triangles, by edge collapse onto existing vertices (meshoptimizer).
 /// Vertices marked in `keep`, `[V]` or fewer, stay. Topology is kept, so a surface of many pieces or holes may end
 /// above the target; one below it is returned cleaned.
-#[must_use]
 pub(super) fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize) -> Surface {
     let (mut surface, used) = compacted(without_broken(surface.clone()));
     if surface.triangles.len() <= target_triangles {
@@ -78,6 +77,23 @@ pub(super) fn simplify(surface: &Surface, keep: &[bool], target_triangles: usize
     compact(without_broken(surface))
 }
 
+/// As [`simplify`].
+///
+/// # Errors
+/// If no triangle is left.
+pub(super) fn simplified(surface: &Surface, keep: &[bool], target_triangles: usize) -> Result<Surface, GeometryError> {
+    let simple = simplify(surface, keep, target_triangles);
+    if simple.triangles.is_empty() {
+        return Err(GeometryError::EmptySurface { step: "simplification", hint: "too few triangles were asked for" });
+    }
+    Ok(simple)
+}
+
+/// Normal of a triangle with these corners, as long as twice its area.
+pub(super) fn area_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
+}
+
 /// Root of `v` in a union-find forest, with path halving.
 fn root(parent: &mut [u32], mut v: u32) -> u32 {
     while parent[v as usize] != v {
@@ -94,7 +110,7 @@ pub(super) fn without_broken(mut surface: Surface) -> Surface {
     surface.triangles.retain(|t| {
         let corner = |k: usize| positions.get(t[k] as usize).filter(|p| p.is_finite()).map(|p| p.as_dvec3());
         match (corner(0), corner(1), corner(2)) {
-            (Some(a), Some(b), Some(c)) => (b - a).cross(c - a).length_squared() > 0.0,
+            (Some(a), Some(b), Some(c)) => area_normal([a, b, c]).length_squared() > 0.0,
             _ => false,
         }
     });

@@ -3,7 +3,7 @@
 use super::GeometryError;
 use super::holes::without_holes;
 use super::reconstruct::SurfaceStats;
-use super::surface::{Surface, compact, components, first_at_place, simplify, without_broken};
+use super::surface::{Surface, area_normal, compact, components, first_at_place, simplified, without_broken};
 
 /// Number of triangles below which a connected piece may be a crumb, as for an iso-surface (2DGS), ...
 const CRUMB_FACES: usize = 50;
@@ -41,11 +41,8 @@ pub fn tidy(surface: Surface, tidying: Tidying) -> Result<(Surface, SurfaceStats
     let closed;
     (closed, stats.holes) = if tidying.closes_holes { without_holes(kept) } else { (kept, 0) };
     stats.even = closed.triangles.len();
-    let simplified = simplify(&closed, &[], tidying.triangles);
+    let simplified = simplified(&closed, &[], tidying.triangles)?;
     stats.simplified = simplified.triangles.len();
-    if stats.simplified == 0 {
-        return Err(GeometryError::EmptySurface { step: "simplification", hint: "too few triangles were asked for" });
-    }
     Ok((simplified, stats))
 }
 
@@ -61,10 +58,7 @@ fn welded(mut surface: Surface) -> Surface {
 fn without_crumbs(surface: Surface) -> Surface {
     let component = components(&surface);
     let mut pieces = vec![(0_usize, 0.0_f64); surface.positions.len()];
-    let area = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| surface.positions[v as usize].as_dvec3());
-        0.5 * (b - a).cross(c - a).length()
-    };
+    let area = |t: &[u32; 3]| 0.5 * area_normal(t.map(|v| surface.positions[v as usize].as_dvec3())).length();
     for (t, &c) in surface.triangles.iter().zip(&component) {
         let (faces, sum) = &mut pieces[c as usize];
         *faces += 1;

@@ -1,7 +1,7 @@
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::{Contraction, GeometryError, Shell, Surface, charts, pack};
+use super::{Contraction, GeometryError, Shell, Surface, charts, pack, surface::area_normal};
 use crate::scene::Texture;
 
 /// Width of the widest gutters, texels: the eight texels between two charts are two in the third mip level, where
@@ -99,7 +99,7 @@ pub fn unwrap(
     if let Some(space) = charts_in {
         corners.iter_mut().flatten().for_each(|p| *p = space.place(*p));
     }
-    let areas: Vec<f64> = corners.par_iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).collect();
+    let areas: Vec<f64> = corners.par_iter().map(|t| area_normal(*t).length() / 2.0).collect();
     // A scale for surfaces without any area.
     let area = areas.iter().sum::<f64>().max(f64::MIN_POSITIVE.sqrt());
     let side = f64::from(atlas_size);
@@ -406,21 +406,5 @@ mod tests {
             unwrap(&surface, None, 256, WIDEST_GUTTER).unwrap(),
             unwrap(&surface, None, 256, WIDEST_GUTTER).unwrap()
         );
-    }
-
-    #[test]
-    #[ignore = "a timing, not a check"]
-    fn time_100k_triangles() {
-        for noise in [0.0, 0.01] {
-            let surface = bumpy_sphere(158, noise);
-            let start = std::time::Instant::now();
-            let mesh = unwrap(&surface, None, 1024, WIDEST_GUTTER).unwrap();
-            eprintln!(
-                "{} triangles, noise {noise}: {:.2?}, {:?}",
-                surface.triangles.len(),
-                start.elapsed(),
-                mesh.stats
-            );
-        }
     }
 }

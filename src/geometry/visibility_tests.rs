@@ -11,7 +11,7 @@ use crate::{
         tests::{meets, orbit, sphere},
         unwrap,
     },
-    scene::{Atlas, Intrinsics},
+    scene::{Atlas, Intrinsics, testing},
 };
 
 const ALL: &(dyn Fn(usize, DVec2) -> bool + Sync) = &|_, _| true;
@@ -36,9 +36,7 @@ fn look(mesh: &Mesh, size: usize, viewers: &Viewers) -> TexelVisibility {
 
 /// A camera at the origin that looks along z.
 fn ahead(side: u32, focal: f64) -> Camera {
-    let half = 0.5 * f64::from(side);
-    let k = Intrinsics { width: side, height: side, fx: focal, fy: focal, cx: half, cy: half };
-    Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap()
+    testing::ahead([side, side], focal, DVec3::ZERO)
 }
 
 /// Per texel, the faces that contain its centre, with the surface points there.
@@ -326,29 +324,4 @@ fn triangles_without_texels_and_without_sense() {
     assert_eq!(error([0, 8], 0.0, 1), "size: expected 1 to 16384 texels a side, found 0×8");
     assert_eq!(error([8, 8], f64::NAN, 1), "near: expected a depth of 0 or more, found NaN");
     assert_eq!(error([8, 8], 0.0, 0), "layers: expected at least 1, found 0");
-}
-
-#[test]
-#[ignore = "a timing, not a check"]
-fn time_of_many_views() {
-    for (size, views) in [(512, 48), (2048, 200)] {
-        // The inner sphere is hidden from all sides.
-        for parts in
-            [vec![sphere(140, Vec3::ZERO, 1.0)], vec![sphere(140, Vec3::ZERO, 1.0), sphere(140, Vec3::ZERO, 0.7)]]
-        {
-            let mesh = unwrapped(&joined(&parts), size as u32);
-            let cameras = orbit(views, 1920, 1080);
-            let bvh = MeshBvh::new([(mesh.positions(), mesh.triangles())]);
-            let start = std::time::Instant::now();
-            let found = texel_visibility(&mesh, [size; 2], &bvh, &viewers(&cameras, 1)).unwrap();
-            let seconds = start.elapsed().as_secs_f64();
-            let (charted, seen) = found.counts();
-            eprintln!(
-                "{size}², {views} views, {} triangles: {seen} of {charted} texels seen, {} rays, {seconds:.2} s, {:.2} M rays/s",
-                mesh.triangles().len(),
-                found.rays,
-                found.rays as f64 / seconds / 1e6
-            );
-        }
-    }
 }

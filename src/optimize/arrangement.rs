@@ -21,26 +21,22 @@ pub(super) struct Arrangement {
 impl Arrangement {
     /// An arrangement of all splats in their present order, from geometry laid out as
     /// [`SplatState::geometry`](crate::render::gpu::state::SplatState::geometry).
-    #[must_use]
     pub(super) fn new(geometry: Vec<f32>) -> Self {
         let sources = (0..geometry.len() / GEOMETRY_FLOATS).map(Source::new).collect();
         Self { geometry, sources }
     }
 
     /// Number of splats.
-    #[must_use]
     pub(super) fn len(&self) -> usize {
         self.sources.len()
     }
 
     /// Geometry of all splats, `[N·12]`.
-    #[must_use]
     pub(super) fn geometry(&self) -> &[f32] {
         &self.geometry
     }
 
     /// Source of each splat, `[N]`: the splat before the step that its SH coefficients and moments come from.
-    #[must_use]
     pub(super) fn sources(&self) -> &[Source] {
         &self.sources
     }
@@ -92,7 +88,6 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn row(&self, i: usize) -> Geometry {
         Geometry::at(&self.geometry, i)
     }
@@ -109,7 +104,6 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn opacity(&self, i: usize) -> f32 {
         sigmoid(self.row(i).opacity_logit)
     }
@@ -126,7 +120,6 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn smoothing_factor(&self, i: usize) -> f32 {
         let row = self.row(i);
         smoothed(row.log_scale.as_dvec3(), row.smoothing.into()).1 as f32
@@ -136,7 +129,6 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn seen_opacity(&self, i: usize) -> f32 {
         self.opacity(i) * self.smoothing_factor(i)
     }
@@ -145,7 +137,6 @@ impl Arrangement {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn scales(&self, i: usize) -> Vec3 {
         self.row(i).log_scale.exp()
     }
@@ -170,7 +161,6 @@ impl Arrangement {
     }
 
     /// Group of parameters and index of the first splat whose geometry is not finite.
-    #[must_use]
     pub(super) fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         geometry_not_finite(&self.geometry)
     }

@@ -143,12 +143,10 @@ impl Clear {
 
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
-
     use super::*;
     use crate::{
         capture::{LoadOptions, open},
-        scene::Intrinsics,
+        scene::testing::ahead,
     };
 
     #[test]
@@ -163,8 +161,7 @@ mod tests {
 
     #[test]
     fn cells_with_points_and_those_around_are_not_clear() {
-        let k = Intrinsics { width: 100, height: 50, fx: 100.0, fy: 100.0, cx: 50.0, cy: 25.0 };
-        let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+        let camera = ahead([100, 50], 100.0, DVec3::ZERO);
         // A point that projects to pixel (50, 25) at any depth, and one behind the camera.
         let point = |z: f64| Point { position: DVec3::new(0.0, 0.0, z), rgb: [0; 3] };
         let map = Clear::new(&camera, &[point(1000.0), point(-1.0)]);

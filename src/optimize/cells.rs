@@ -86,7 +86,7 @@ mod tests {
     use glam::DMat3;
 
     use super::*;
-    use crate::scene::Intrinsics;
+    use crate::scene::{Intrinsics, testing::ahead};
 
     #[test]
     fn cells_cover_the_picture_once() {
@@ -118,8 +118,7 @@ mod tests {
 
     #[test]
     fn cells_at_the_border_have_fewer_around_them() {
-        let k = Intrinsics { width: 100, height: 50, fx: 90.0, fy: 90.0, cx: 50.0, cy: 25.0 };
-        let cells = Cells::new(&Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap());
+        let cells = Cells::new(&ahead([100, 50], 90.0, DVec3::ZERO));
         assert_eq!((cells.columns, cells.rows), (34, 17));
         assert_eq!(cells.around(0).collect::<Vec<_>>(), [0, 1, 34, 35]);
         assert_eq!(cells.around(34 + 1).count(), 9);

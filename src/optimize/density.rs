@@ -19,7 +19,6 @@ impl Statistics<'_> {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn mean_gradient(&self, i: usize) -> f32 {
         let [gradient, views, ..] = self.0[i];
         finite_or_zero(gradient / views.max(1.0))
@@ -30,7 +29,6 @@ impl Statistics<'_> {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(super) fn absolute_gradient(&self, i: usize) -> f32 {
         let [_, views, _, absolute] = self.0[i];
         finite_or_zero(absolute / views.max(1.0))

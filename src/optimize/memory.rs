@@ -108,15 +108,13 @@ pub(super) fn texture_size_within(options: &TrainOptions, wanted: u32, floats: u
 
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, DVec3, Vec3};
+    use glam::{DVec3, Vec3};
 
     use super::*;
-    use crate::{geometry::Surface, optimize::maps, scene::Intrinsics};
+    use crate::{geometry::Surface, optimize::maps, scene::testing::ahead};
 
     fn camera(width: u32, height: u32) -> Camera {
-        let focal = f64::from(width);
-        let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx: 0.5, cy: 0.5 };
-        Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap()
+        ahead([width, height], f64::from(width), DVec3::ZERO)
     }
 
     #[test]

@@ -21,7 +21,6 @@ pub(super) struct ResolutionSchedule {
 
 impl ResolutionSchedule {
     /// Relative side of the pictures at iteration `t`, if the longest of them has `side` pixels in full size.
-    #[must_use]
     pub(super) fn scale(&self, t: u32, side: u32) -> f64 {
         let first = FIRST.max((LEAST_SIDE / f64::from(side.max(1))).min(1.0));
         if t >= self.full_from {
@@ -33,7 +32,6 @@ impl ResolutionSchedule {
 
     /// Most splats at iteration `t` of a run that began with `initial` and ends with at most `most`: the number added
     /// is proportional to the pixels at first, to their side in the end.
-    #[must_use]
     pub(super) fn max_splats(&self, t: u32, side: u32, initial: usize, most: usize) -> usize {
         if t >= self.full_from {
             return most;

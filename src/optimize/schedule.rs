@@ -57,7 +57,6 @@ pub(super) struct Schedule {
 
 impl Schedule {
     /// INRIA's schedule for a run of `iterations`.
-    #[must_use]
     pub(super) fn new(iterations: u32) -> Self {
         let of_full = |t: u32, floor: u32| {
             let scaled = u64::from(t) * u64::from(iterations.min(FULL)) / u64::from(FULL);
@@ -80,7 +79,6 @@ impl Schedule {
     }
 
     /// The same schedule for MCMC: density steps go on for 5/6 of the run, opacities are never reset.
-    #[must_use]
     pub(super) fn for_mcmc(self) -> Self {
         let until = u64::from(self.densify_until) * 25 / 15;
         let densify_until = u32::try_from(until).unwrap_or(u32::MAX);
@@ -88,14 +86,12 @@ impl Schedule {
     }
 
     /// The same schedule with INRIA's additional reset for white backgrounds (none where there are no resets).
-    #[must_use]
     pub(super) fn with_white_background(self) -> Self {
         Self { white_background: true, ..self }
     }
 
     /// The same schedule where a surface is made after iteration `at`, judged by the splats: no opacity reset in the
     /// half interval before it.
-    #[must_use]
     pub(super) fn before_surface(self, at: u32) -> Self {
         let recovery = self.opacity_reset_interval.unwrap_or(0) / 2;
         let until = at.saturating_sub(recovery);
@@ -107,7 +103,6 @@ impl Schedule {
     }
 
     /// The same schedule where [`Self::before_surface`] has left out resets until iteration `at`.
-    #[must_use]
     pub(super) fn after_surface(self, at: u32) -> Self {
         let first = |interval: u32| {
             let was_reset = interval < self.before_surface(at).opacity_reset_until;
@@ -119,7 +114,6 @@ impl Schedule {
     /// The same schedule where splats are handed over to a mesh after iteration `at`: density control, which may have
     /// ended in the splats' own run, goes on for the first half of what is left, as soon as there are statistics of
     /// splats beside the mesh. Unchanged where density control goes on longer.
-    #[must_use]
     pub(super) fn handed_over(self, at: u32) -> Self {
         let half = at.saturating_add(self.iterations.saturating_sub(at) / 2);
         let again = half > self.densify_until;
@@ -134,26 +128,22 @@ impl Schedule {
     }
 
     /// SH degree in use after `t` iterations, at most `max_degree`.
-    #[must_use]
     pub(super) fn sh_degree(&self, t: u32, max_degree: u32) -> u32 {
         (t / self.sh_interval).min(max_degree).min(sh::MAX_DEGREE)
     }
 
     /// Part of the splats that the iteration after `t` others drops: `most` times the fraction of the run that is over
     /// (`DropGaussian`).
-    #[must_use]
     pub(super) fn dropout(&self, t: u32, most: f32) -> f32 {
         most * (t as f32 / self.iterations.max(1) as f32).min(1.0)
     }
 
     /// True if a density step follows `t` iterations.
-    #[must_use]
     pub(super) fn densifies_after(&self, t: u32) -> bool {
         t > self.densify_from && t < self.densify_until && t.is_multiple_of(self.densify_interval)
     }
 
     /// Number of density steps after `t` iterations and later.
-    #[must_use]
     pub(super) fn density_steps_from(&self, t: u32) -> u32 {
         // Counts multiples of the interval: the last is before `densify_until`, the first after `densify_from`.
         let steps_before = |t: u32| t.saturating_sub(1) / self.densify_interval.max(1);
@@ -162,13 +152,11 @@ impl Schedule {
     }
 
     /// True if the density step after `t` iterations prunes splats for their size.
-    #[must_use]
     pub(super) fn prunes_large(&self, t: u32) -> bool {
         self.prune_large_from.is_some_and(|from| t > from)
     }
 
     /// True if an opacity reset follows `t` iterations.
-    #[must_use]
     pub(super) fn resets_opacity_after(&self, t: u32) -> bool {
         self.opacity_reset_interval.is_some_and(|interval| {
             t > self.opacity_reset_from
@@ -179,7 +167,6 @@ impl Schedule {
 
     /// True if the mesh's opacity map is frozen in the `t`-th iteration, the first being 1: in the 200 after each
     /// reset.
-    #[must_use]
     pub(super) fn freezes_mesh_opacity(&self, t: u32) -> bool {
         (t.saturating_sub(FREEZE)..t).any(|reset| self.resets_opacity_after(reset))
     }
@@ -190,18 +177,15 @@ impl Schedule {
     /// A step of Adam is about as long as its rate, whatever the gradient. INRIA's rates move a mean by 1/36 of the
     /// extent in all 800 iterations of a run: fewer steps have to be longer. With a factor of r itself, splats would
     /// leave what they show in single steps; at the end such steps are noise (`docs/experiments.md`).
-    #[must_use]
     pub(super) fn haste(&self, t: u32) -> f32 {
-        let n = f64::from(self.iterations.max(1));
-        let at = (f64::from(t) / n).min(1.0);
-        (f64::from(FULL) / n).clamp(1.0, MOST_SHORTENED).powf(0.75 - 0.5 * at) as f32
+        let shorter = (f64::from(FULL) / f64::from(self.iterations.max(1))).clamp(1.0, MOST_SHORTENED);
+        shorter.powf(0.75 - 0.5 * part(t, self.iterations)) as f32
     }
 
     /// Factor on learning rates towards the end of a short run, after `t` iterations: 1 in its first three quarters,
     /// then falling to a tenth, or to 1/r in one r times shorter than 30 000 where that is more, its logarithm linear
     /// in t. With the longer steps splats fit the last few views: on skull66, held-out views went up and down by a dB
     /// from epoch to epoch (`docs/experiments.md`).
-    #[must_use]
     pub(super) fn settling(&self, t: u32) -> f32 {
         let n = f64::from(self.iterations.max(1));
         let at = (f64::from(t) / n).clamp(SETTLES_FROM, 1.0);
@@ -212,7 +196,6 @@ impl Schedule {
     /// Learning rates after `t` iterations in a scene of this extent (INRIA 3DGS, `arguments/__init__.py`), larger in
     /// short runs ([`Self::haste`]), except for opacities, which go from 0.005 to 0.995 in 200 steps, and smaller at
     /// their end ([`Self::settling`]).
-    #[must_use]
     pub(super) fn rates(&self, t: u32, extent: f32) -> SplatRates {
         let settling = self.settling(t);
         let haste = self.haste(t) * settling;
@@ -229,19 +212,21 @@ impl Schedule {
     /// Learning rate of exposures after `t` iterations, each on one of `views`: from 1e-2 to 1e-3, its logarithm linear
     /// in t/n (as in INRIA 3DGS). These rates reach half of the brightness where a view is seen 150 times, as in 30,000
     /// iterations on 200 photographs; where it is seen less often the rate is higher, up to ten times.
-    #[must_use]
     pub(super) fn exposure_rate(&self, t: u32, views: usize) -> f32 {
-        let n = f64::from(self.iterations.max(1));
-        let faster = (150.0 * views as f64 / n).clamp(1.0, 10.0);
-        (faster * 10f64.powf(-2.0 - (f64::from(t) / n).min(1.0))) as f32
+        let faster = (150.0 * views as f64 / f64::from(self.iterations.max(1))).clamp(1.0, 10.0);
+        (faster * 10f64.powf(-2.0 - part(t, self.iterations))) as f32
     }
+}
+
+/// Part of a run of `iterations` that is over after `t` of them, at most 1.
+fn part(t: u32, iterations: u32) -> f64 {
+    (f64::from(t) / f64::from(iterations.max(1))).min(1.0)
 }
 
 /// Learning rate of means after `t` iterations of a full run for an extent of 1: from 1.6e-4 to 1.6e-6, its logarithm
 /// linear in t/n.
-#[must_use]
 pub(super) fn position_rate(t: u32, iterations: u32) -> f64 {
-    let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
+    let at = part(t, iterations);
     (1.6e-4_f64.ln() * (1.0 - at) + 1.6e-6_f64.ln() * at).exp()
 }
 
@@ -251,7 +236,6 @@ pub(super) fn position_rate(t: u32, iterations: u32) -> f64 {
 /// A shorter warm-up has a higher rate for the same reach, up to 0.07. Texels that move only when a view shows them get
 /// three times that reach, since a view in five or so does. (Demo capture, 0.6 M floats, 200 iterations: 25.07 dB with
 /// the paper's reach, 25.23 with twice that, 25.36 with three times and no bands.)
-#[must_use]
 pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
     let shorter = f64::from(PAPER_WARM_UP) / f64::from(iterations.clamp(1, PAPER_WARM_UP));
     let reach = if dense { 1.0 } else { 3.0 };
@@ -260,17 +244,14 @@ pub(super) fn texel_rate(iterations: u32, dense: bool) -> f32 {
 
 /// Learning rate of texels after `t` iterations of the joint phase: from `warm`, that of the warm-up, to three tenths
 /// of it, its logarithm linear in t, but not below the paper's 5e-4.
-#[must_use]
 pub(super) fn joint_texel_rate(warm: f32, t: u32, iterations: u32) -> f32 {
-    let at = (f64::from(t) / f64::from(iterations.max(1))).min(1.0);
-    (f64::from(warm) * 0.3_f64.powf(at)).max(PAPER_TEXEL_RATE) as f32
+    (f64::from(warm) * 0.3_f64.powf(part(t, iterations))).max(PAPER_TEXEL_RATE) as f32
 }
 
 /// Step of the vertices of a made surface after `t` iterations of a phase with a mesh, for pictures with sides up to
 /// `longest`: none in the first eighth, while maps are still grey or splats beside them have yet to grow, then 0.1
 /// pixels falling to 0.01, its logarithm linear in t; less in a longer phase, so that all steps together reach no
 /// farther than a thirteenth of that side.
-#[must_use]
 pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<VertexStep> {
     let before = t.checked_sub(iterations.div_ceil(8))?;
     let n = f64::from(iterations.max(1));
@@ -284,14 +265,12 @@ pub(super) fn vertex_step(t: u32, iterations: u32, longest: u32) -> Option<Verte
 /// Step size of poses after `t` of `iterations`, each on one of `views`, in radians of rotation and extents of shift: 0
 /// in the first twentieth, while all is blurred, then a rate that falls to a hundredth, its logarithm linear in t. All
 /// steps of a view together reach `reach`, a single one at most a third of it.
-#[must_use]
 pub(super) fn pose_rate(t: u32, iterations: u32, views: usize, reach: f64) -> f32 {
-    let n = f64::from(iterations.max(1));
-    let at = (f64::from(t) / n).min(1.0);
+    let at = part(t, iterations);
     if at < 0.05 {
         return 0.0;
     }
-    let steps = (n / views.max(1) as f64).max(1.0);
+    let steps = (f64::from(iterations.max(1)) / views.max(1) as f64).max(1.0);
     // The mean of 0.01^x over x from 0 to 1 is 0.99 / ln 100.
     let begin = (reach / steps * 100f64.ln() / 0.99).min(reach / 3.0);
     (begin * 0.01f64.powf(at)) as f32

@@ -1,11 +1,11 @@
 use std::f64::consts::{PI, TAU};
 
-use glam::{DMat3, DQuat, DVec3, Quat, Vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 
 use super::rig::{Rig, symmetric_eigen};
 use super::*;
 use crate::render::testing::largest;
-use crate::scene::{Composition, HybridScene, Splats};
+use crate::scene::{Composition, HybridScene, SplatArrays, Splats, testing::alike};
 
 const K: Intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 50.0, cx: 30.0, cy: 25.0 };
 
@@ -269,17 +269,10 @@ fn a_scene_without_views_is_seen_from_around_it() {
     let solid = means.clone();
     means.extend([DVec3::splat(1e4), DVec3::splat(-1e6)]);
     means.extend((0..100).map(|i| DVec3::new(500.0, f64::from(i), 0.0)));
-    let count = means.len();
-    let logits: Vec<f32> = (0..count).map(|i| if i < 127 { 3.0 } else { -20.0 }).collect();
-    let splats = Splats::new(
-        means.iter().map(|mean| mean.as_vec3()).collect(),
-        vec![Quat::IDENTITY; count],
-        vec![Vec3::splat(-3.0); count],
-        logits,
-        0,
-        vec![[0.0; 3]; count],
-    );
-    let scene = HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() };
+    let opacity_logits = (0..means.len()).map(|i| if i < 127 { 3.0 } else { -20.0 }).collect();
+    let arrays = alike(means.iter().map(|mean| mean.as_vec3()).collect(), -3.0, 0.0, [0.0; 3]).into_arrays();
+    let splats = SplatArrays { opacity_logits, ..arrays }.check().unwrap();
+    let scene = HybridScene { splats, meshes: vec![], composition: Composition::default() };
     let Overview { views, focus, radius } = overview(&scene, UP, 8).unwrap();
     assert!(views.len() == 8 && (2.0..5.0).contains(&radius), "{radius}");
     assert!(solid.iter().all(|p| p.distance(focus) < radius), "{focus}");
@@ -300,16 +293,10 @@ fn a_scene_without_views_is_seen_from_around_it() {
 fn grid_and(far: &[(DVec3, f64)]) -> HybridScene {
     let of_grid = (0..125).map(|i| (DVec3::new(f64::from(i % 5), f64::from(i / 5 % 5), f64::from(i / 25)) - 2.0, 0.1));
     let all: Vec<(DVec3, f64)> = of_grid.chain(far.iter().copied()).collect();
-    let count = all.len();
-    let splats = Splats::new(
-        all.iter().map(|(mean, _)| mean.as_vec3()).collect(),
-        vec![Quat::IDENTITY; count],
-        all.iter().map(|(_, size)| Vec3::splat(size.ln() as f32)).collect(),
-        vec![3.0; count],
-        0,
-        vec![[0.0; 3]; count],
-    );
-    HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() }
+    let log_scales = all.iter().map(|(_, size)| Vec3::splat(size.ln() as f32)).collect();
+    let arrays = alike(all.iter().map(|(mean, _)| mean.as_vec3()).collect(), 0.0, 3.0, [0.0; 3]).into_arrays();
+    let splats = SplatArrays { log_scales, ..arrays }.check().unwrap();
+    HybridScene { splats, meshes: vec![], composition: Composition::default() }
 }
 
 /// As trainings of few splats have it, in which a background is more than a tenth of them.

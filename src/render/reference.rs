@@ -92,7 +92,6 @@ pub struct Projected {
 
 /// The mesh layers of every pixel, row-major: nearest first, at most as many as the scene's composition keeps.
 #[cfg(test)]
-#[must_use]
 pub(crate) fn mesh_layers(scene: &HybridScene, camera: &Camera) -> Vec<Vec<Fragment>> {
     View::new(scene, camera, &Parameters::of(scene)).layers
 }

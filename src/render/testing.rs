@@ -4,6 +4,7 @@ use glam::{DMat3, DQuat, DVec3, Quat, Vec2, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use crate::scene::testing::{ahead, alike};
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, sh};
 
 /// Largest of at least one magnitude; NaN if one is NaN, which `f64::max` would ignore.
@@ -51,6 +52,13 @@ fn random_texture(
         }
     }
     Texture::new(size[0], size[1], channels, texels).unwrap()
+}
+
+/// Photograph by a camera, RGBA8, with values 0 or 255, so that no difference changes sign near rendered values.
+pub(crate) fn photograph(camera: &Camera) -> Vec<u8> {
+    (0..camera.intrinsics().pixels())
+        .flat_map(|p| [p, p / 3, p / 7].map(|v| if v % 5 < 2 { 255 } else { 0 }).into_iter().chain([255]))
+        .collect()
 }
 
 /// A grid of `cells` quads with UVs over the whole atlas (and slightly beyond its border), mapped to world space by
@@ -193,16 +201,8 @@ pub(crate) fn nearly_opaque(splats: &Splats, which: usize) -> Splats {
 /// A tilted sheet that is pierced by a splat: the paper's figure. At its own projection the mean is just behind the
 /// sheet. On the ray of a neighbouring pixel the sheet is farther than the mean. Also returns the two pixels.
 pub(crate) fn two_rays(mode: OrderMode) -> (HybridScene, Camera, [usize; 2]) {
-    let red = vec![[2.0, -2.0, -2.0_f32]];
-    let splats = Splats::new(
-        vec![Vec3::new(0.0, 0.0, 3.02)],
-        vec![Quat::IDENTITY],
-        vec![Vec3::splat(0.3_f32.ln())],
-        vec![(0.9_f32 / 0.1).ln()],
-        0,
-        red,
-    )
-    .unwrap();
+    let red = [2.0, -2.0, -2.0];
+    let splats = alike(vec![Vec3::new(0.0, 0.0, 3.02)], 0.3_f32.ln(), (0.9_f32 / 0.1).ln(), red);
     // The opaque sheet z = 3 + x/2.
     let corner = |x: f32, y: f32| Vec3::new(x, y, 3.0 + 0.5 * x);
     let mut base = Texture::zeros(1, 1, 4).texels().to_vec();
@@ -211,7 +211,6 @@ pub(crate) fn two_rays(mode: OrderMode) -> (HybridScene, Camera, [usize; 2]) {
     let positions = vec![corner(-2.0, -2.0), corner(2.0, -2.0), corner(2.0, 2.0), corner(-2.0, 2.0)];
     let mesh = Mesh::new(positions, vec![[0, 1, 2], [0, 2, 3]], vec![[Vec2::ZERO; 3]; 2], atlas).unwrap();
     let composition = Composition { mode, lambda: 0.5, ..Composition::default() };
-    let intrinsics = Intrinsics { width: 33, height: 33, fx: 33.0, fy: 33.0, cx: 16.5, cy: 16.5 };
-    let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let camera = ahead([33, 33], 33.0, DVec3::ZERO);
     (HybridScene { splats, meshes: vec![mesh], composition }, camera, [14, 18].map(|x| 16 * 33 + x))
 }

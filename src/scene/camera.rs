@@ -229,7 +229,6 @@ impl Camera {
     }
 
     /// The camera in a world whose lengths are `factor` times as large.
-    #[must_use]
     pub(crate) fn scaled(&self, factor: f64) -> Self {
         Self { translation: factor * self.translation, ..*self }
     }

@@ -15,16 +15,12 @@ pub fn center_and_spread<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> (
 
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
-
     use super::*;
-    use crate::scene::Intrinsics;
+    use crate::scene::testing::ahead;
 
     #[test]
     fn the_farthest_says_how_far_cameras_spread() {
-        let intrinsics = Intrinsics { width: 4, height: 3, fx: 2.0, fy: 2.0, cx: 2.0, cy: 1.5 };
-        let at = |x: f64| Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(-x, 2.0, 0.0)).unwrap();
-        let cameras = [0.0, 1.0, 5.0].map(at);
+        let cameras = [0.0, 1.0, 5.0].map(|x: f64| ahead([4, 3], 2.0, DVec3::new(x, -2.0, 0.0)));
         assert_eq!(center_and_spread(&cameras), (DVec3::new(2.0, -2.0, 0.0), 3.0));
         assert_eq!(center_and_spread(&cameras[2..]), (DVec3::new(5.0, -2.0, 0.0), 0.0));
         assert_eq!(center_and_spread(&[]), (DVec3::ZERO, 0.0));

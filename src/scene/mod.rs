@@ -18,6 +18,8 @@ pub mod rig;
 pub mod sh;
 mod smoothing;
 mod splats;
+#[cfg(test)]
+pub(crate) mod testing;
 
 use rayon::prelude::*;
 

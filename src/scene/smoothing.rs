@@ -18,7 +18,6 @@ pub fn smoothed(log_scale: DVec3, deviation: f64) -> (DVec3, f64) {
 }
 
 /// [`smoothed`] for stored parameters: log-scales and opacity logit.
-#[must_use]
 pub(crate) fn smoothed_parameters(log_scale: Vec3, opacity_logit: f32, deviation: f32) -> (Vec3, f32) {
     if deviation == 0.0 {
         return (log_scale, opacity_logit);

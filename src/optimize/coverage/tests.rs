@@ -5,7 +5,7 @@ use glam::{DMat3, Vec3};
 use super::*;
 use crate::{
     capture::{Capture, LoadOptions, open},
-    scene::Intrinsics,
+    scene::{Intrinsics, testing::ahead},
 };
 
 fn demo() -> Capture {
@@ -121,8 +121,7 @@ fn what_a_mesh_covers_stays_bare() {
 }
 
 fn facing(x: f64) -> Camera {
-    let k = Intrinsics { width: 100, height: 100, fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0 };
-    Camera::new(k, DMat3::IDENTITY, DVec3::new(-x, 0.0, 0.0)).unwrap()
+    ahead([100, 100], 100.0, x * DVec3::X)
 }
 
 #[test]

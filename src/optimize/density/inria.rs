@@ -38,7 +38,6 @@ pub(in crate::optimize) struct InriaOptions {
 
 impl InriaOptions {
     /// INRIA's constants, without pruning by scale.
-    #[must_use]
     pub(in crate::optimize) fn new(extent: f32, max_splats: usize) -> Self {
         Self {
             extent,
@@ -52,13 +51,11 @@ impl InriaOptions {
     }
 
     /// The constants of AbsGS, without pruning by scale.
-    #[must_use]
     pub(in crate::optimize) fn absolute(extent: f32, max_splats: usize) -> Self {
         Self { split_gradient: Some(4e-4), dense_fraction: 0.001, ..Self::new(extent, max_splats) }
     }
 
     /// The same options with pruning by scale.
-    #[must_use]
     pub(in crate::optimize) fn pruning_large(self) -> Self {
         Self { max_scale: Some(0.1), ..self }
     }

@@ -61,14 +61,12 @@ pub(in crate::optimize) struct McmcOptions {
 
 impl McmcOptions {
     /// The paper's constants; for scenes with a mesh also the criterion on blend weights, which is not in the paper.
-    #[must_use]
     pub(in crate::optimize) fn new(max_splats: usize, has_mesh: bool) -> Self {
         Self { min_opacity: 0.005, growth: 1.05, max_splats, min_epoch_weight: has_mesh.then_some(1e-3), epochs: 1 }
     }
 
     /// The same options where iterations drop out this part of the splats at random: with enough epochs that at most
     /// one splat in a thousand is left out of all renders of a view.
-    #[must_use]
     pub(in crate::optimize) fn with_dropout(self, part: f32) -> Self {
         let epochs = if part > 0.0 { (1e-3_f32.ln() / part.ln()).ceil().max(1.0) as u32 } else { 1 };
         Self { epochs, ..self }
@@ -77,7 +75,6 @@ impl McmcOptions {
     /// The same options with growth fast enough for `splats` to become [`Self::max_splats`] within this many steps, the
     /// present one included; at most doubling per step. The usual 5 % over 24 steps, as in 800 iterations, only triples
     /// the number, and of two runs asked for one size, the one that began with more splats would end with more.
-    #[must_use]
     pub(in crate::optimize) fn arriving_in(self, steps: u32, splats: usize) -> Self {
         let needed = (self.max_splats as f64 / splats.max(1) as f64).powf(1.0 / f64::from(steps.max(1)));
         Self { growth: self.growth.max(needed.min(MOST_GROWTH)), ..self }
@@ -177,7 +174,6 @@ pub(in crate::optimize) fn relocate_and_add(
 
 /// Opacity and scale factor for each of `copies` coincident splats that together look like one of `opacity` (eq. 9 of
 /// the MCMC paper): equally opaque at the centre, and with the same integral along a line through it.
-#[must_use]
 pub(in crate::optimize) fn relocation(opacity: f64, copies: usize) -> (f64, f64) {
     let copies = copies.clamp(1, MAX_COPIES);
     // 1 − (1 − o)^(1/N), accurate also for tiny o.

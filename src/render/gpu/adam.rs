@@ -64,7 +64,7 @@ pub(crate) struct SplatRates {
 }
 
 /// Parameters of one Adam step on splats.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct AdamStep {
     /// Number of the step, from 1, for the bias correction of the moments.
     pub(crate) number: u32,

@@ -130,24 +130,6 @@ impl Exposures {
         frame.dispatch(pull, n);
         frame.dispatch(update, 1);
     }
-
-    /// Takes back the last `skipped` steps, see [`PerViewBuffers::settle`].
-    pub(crate) fn settle(&mut self, skipped: u32) {
-        self.views.settle(skipped);
-    }
-
-    /// Reads the whole state. Waits.
-    ///
-    /// # Errors
-    /// If the driver failed.
-    pub(crate) fn read(&self, gpu: &Gpu) -> Result<ExposureState, GpuError> {
-        self.views.read(gpu)
-    }
-
-    /// Replaces the state by one of as many views.
-    pub(crate) fn write(&mut self, gpu: &Gpu, state: &ExposureState) {
-        self.views.write(gpu, state);
-    }
 }
 
 #[cfg(test)]
@@ -190,7 +172,7 @@ mod tests {
         exposures.record(&gpu, &mut frame, &view, &step, (TruthAlpha::Ignore, false));
         frame.submit();
 
-        let [first, _] = exposures.read(&gpu).unwrap().moments;
+        let [first, _] = exposures.views.read(&gpu).unwrap().moments;
         for (i, moment) in first.into_iter().enumerate() {
             let (row, column) = (i / 4, i % 4);
             let seen = |rgb: &[f32; 4]| if column < 3 { f64::from(rgb[column]) } else { 1.0 };

@@ -2,13 +2,10 @@
 
 use super::{
     Gpu,
-    adam::{AdamStep, SplatRates},
+    adam::AdamStep,
     exposure::{ExposureState, ExposureStep, FLOATS},
     geometry::GEOMETRY_FLOATS,
-    loss::TruthAlpha,
-    photographs::Truth,
     training::{Show, Step, Training},
-    view::Dropout,
 };
 use crate::{
     render::{
@@ -24,31 +21,14 @@ const EXPOSURE: [f32; FLOATS] = [0.8, 0.05, -0.02, 0.03, 0.04, 0.9, 0.02, 0.02, 
 
 /// First moments of splat geometry and of exposures after the first step, which are a tenth of the gradients.
 fn first_moments(training: &mut Training, camera: &Camera, truth: &[u8], disparity_weight: f32) -> [Vec<f32>; 2] {
-    let splats = AdamStep {
-        number: 1,
-        n_splats: training.n_splats() as u32,
-        sh_degree: sh::MAX_DEGREE,
-        rates: SplatRates::default(),
-        opacity_weight: 0.0,
-        scale_weight: 0.0,
-        noise: 0.0,
-        seed: 0,
-        visible_only: false,
-    };
+    let (n_splats, sh_degree) = (training.n_splats() as u32, sh::MAX_DEGREE);
     let step = Step {
-        camera,
-        truth: Truth::Sent { rgba: truth, number: None },
-        truth_alpha: TruthAlpha::Ignore,
-        background: [0.0; 3],
-        sh_degree: sh::MAX_DEGREE,
+        sh_degree,
         band_degree: sh::MAX_DEGREE,
-        dropout: Dropout::default(),
         disparity_weight,
-        splats: Some(splats),
-        texels: None,
-        vertices: None,
+        splats: Some(AdamStep { number: 1, n_splats, sh_degree, ..AdamStep::default() }),
         exposure: Some(ExposureStep { view: 1, rate: 1e-3 }),
-        pose: None,
+        ..Step::still(camera, truth)
     };
     training.step(&step).unwrap();
     assert_eq!(training.status().unwrap().skipped, 0);

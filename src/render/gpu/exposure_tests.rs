@@ -1,27 +1,23 @@
 //! Gradients of exposures compared with finite differences of the loss, and effects of exposure steps.
 
-use glam::{DMat3, DVec3, Quat, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 use super::{
     Gpu,
-    adam::{AdamStep, SplatRates},
+    adam::AdamStep,
     exposure::{ExposureState, ExposureStep, FLOATS},
     loss::{LossValues, TruthAlpha, tests::defined},
-    photographs::Truth,
     training::{Show, Step, Training},
-    view::Dropout,
 };
 use crate::{
     render::testing,
-    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Splats, Texture},
+    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, SplatArrays, Splats, Texture, testing::alike},
 };
 
 /// Not a multiple of a workgroup's pixels.
 const SIZE: [u32; 2] = [70, 61];
 const SPLATS: usize = 6;
 const BACKGROUND: [f32; 3] = [0.1, 0.2, 0.3];
-const RATES: SplatRates =
-    SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
 
 fn camera() -> Camera {
     let [width, height] = SIZE;
@@ -33,23 +29,14 @@ fn camera() -> Camera {
 fn scene((splat, channel): (usize, usize), shift: f32) -> HybridScene {
     let mut sh: Vec<[f32; 3]> = (0..SPLATS).map(|i| [0.3 * (i as f32).sin(), 0.2, 0.25 * (i as f32).cos()]).collect();
     sh[splat][channel] += shift;
-    let splats = Splats::new(
-        (0..SPLATS).map(|i| Vec3::new(0.3 * i as f32 - 0.8, 0.2 * (i % 3) as f32 - 0.2, 0.1 * i as f32)).collect(),
-        vec![Quat::IDENTITY; SPLATS],
-        vec![Vec3::splat(-1.2); SPLATS],
-        vec![0.8; SPLATS],
-        0,
-        sh,
-    );
-    HybridScene { splats: splats.unwrap(), meshes: vec![], composition: Composition::default() }
+    let mean = |i: usize| Vec3::new(0.3 * i as f32 - 0.8, 0.2 * (i % 3) as f32 - 0.2, 0.1 * i as f32);
+    let arrays = alike((0..SPLATS).map(mean).collect(), -1.2, 0.8, [0.0; 3]).into_arrays();
+    let splats = SplatArrays { sh, ..arrays }.check().unwrap();
+    HybridScene { splats, meshes: vec![], composition: Composition::default() }
 }
 
-/// Photograph with values 0 or 255, so that no difference changes sign near the rendered values.
 fn truth() -> Vec<u8> {
-    let pixels = SIZE[0] * SIZE[1];
-    (0..pixels)
-        .flat_map(|p| [p, p / 3, p / 7].map(|v| if v % 5 < 2 { 255 } else { 0 }).into_iter().chain([255]))
-        .collect()
+    testing::photograph(&camera())
 }
 
 /// Exposures of three views; the middle one mixes channels.
@@ -79,34 +66,17 @@ fn step_of(
     has_splats: bool,
     exposure: Option<ExposureStep>,
 ) {
-    let splats = AdamStep {
-        number: 1,
-        n_splats: SPLATS as u32,
-        sh_degree: 0,
-        rates: RATES,
-        opacity_weight: 0.0,
-        scale_weight: 0.0,
-        noise: 0.0,
-        seed: 0,
-        visible_only: false,
+    let camera = camera();
+    let splats = AdamStep { number: 1, n_splats: SPLATS as u32, ..AdamStep::default() };
+    let step = Step {
+        truth_alpha,
+        background: BACKGROUND,
+        disparity_weight: 0.1,
+        splats: has_splats.then_some(splats),
+        exposure,
+        ..Step::still(&camera, truth)
     };
-    training
-        .step(&Step {
-            camera: &camera(),
-            truth: Truth::Sent { rgba: truth, number: None },
-            truth_alpha,
-            background: BACKGROUND,
-            sh_degree: 0,
-            band_degree: 0,
-            dropout: Dropout::default(),
-            disparity_weight: 0.1,
-            splats: has_splats.then_some(splats),
-            texels: None,
-            vertices: None,
-            exposure,
-            pose: None,
-        })
-        .unwrap();
+    training.step(&step).unwrap();
 }
 
 /// Adapters with the kernels for software adapters and for GPUs.

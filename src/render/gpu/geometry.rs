@@ -53,7 +53,6 @@ impl Geometry {
     ///
     /// # Panics
     /// If `i` is out of range.
-    #[must_use]
     pub(crate) fn at(rows: &[f32], i: usize) -> Self {
         Self::from_row(&rows.as_chunks::<GEOMETRY_FLOATS>().0[i])
     }

@@ -9,6 +9,7 @@ use crate::edit::Similarity;
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::render::reference::{self, Layers};
 use crate::render::testing;
+use crate::scene::testing::ahead;
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture};
 
 const BY_MEAN: ImageModel = ImageModel::Ray(ShDirection::Mean);
@@ -214,8 +215,7 @@ fn deep_stacks_are_searched_in_parts() {
 /// `n` splats in a corner of the only tile, in front of 80 translucent ones that cover it, among the meshes of a random
 /// scene.
 fn crowded(n: usize) -> (HybridScene, Camera) {
-    let k = Intrinsics { width: 16, height: 16, fx: 16.0, fy: 16.0, cx: 8.0, cy: 8.0 };
-    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let camera = ahead([16, 16], 16.0, DVec3::ZERO);
     let (mut scene, _) = testing::random_scene(3, 1, 1, 0, 4, OrderMode::Stable);
     let is_wide = |i: usize| i >= n;
     let mean =
@@ -261,8 +261,7 @@ fn full_tiles_are_blended_to_their_end() {
 #[test]
 fn large_pictures_are_covered_to_their_end() {
     let gpu = Gpu::open(None).unwrap();
-    let k = Intrinsics { width: 3840, height: 2160, fx: 1920.0, fy: 1920.0, cx: 1920.0, cy: 1080.0 };
-    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let camera = ahead([3840, 2160], 1920.0, DVec3::ZERO);
     let corners = vec![Vec3::new(-20.0, -20.0, 3.0), Vec3::new(40.0, -20.0, 3.0), Vec3::new(-20.0, 40.0, 3.0)];
     let uvs = vec![[Vec2::ZERO, Vec2::X, Vec2::Y]];
     let atlas = Atlas::new(Texture::new(1, 1, 4, vec![0.5, 0.5, 0.5, 0.0]).unwrap(), None).unwrap();

@@ -3,14 +3,13 @@
 use std::time::Instant;
 
 use super::{
-    adam::{AdamStep, SplatRates},
+    adam::AdamStep,
     device::{Frame, Gpu, GpuError, Stage, Timer},
-    loss::TruthAlpha,
     photographs::Truth,
     renderer::Renderer,
     texels::TexelStep,
     training::{Step, Training, TrainingOptions},
-    view::{Dropout, TILE},
+    view::TILE,
 };
 use crate::scene::{Camera, HybridScene, sh};
 use crate::stats::median;
@@ -161,37 +160,16 @@ pub fn training_step(gpu: &Gpu, scene: &HybridScene, camera: &Camera, repeats: u
 
 /// A step with everything enabled, at learning rates of 0, so that steps can be repeated.
 fn unmoving<'a>(scene: &HybridScene, camera: &'a Camera, truth: &'a [u8]) -> Step<'a> {
-    let rates = SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
+    let (n_splats, sh_degree) = (scene.splats.len() as u32, scene.splats.sh_degree());
+    let texels = TexelStep { number: 1, ..TexelStep::default() };
     Step {
-        vertices: None,
-        exposure: None,
-        pose: None,
-        camera,
         truth: Truth::Sent { rgba: truth, number: Some(0) },
-        truth_alpha: TruthAlpha::Ignore,
         background: scene.composition.background,
-        sh_degree: scene.splats.sh_degree(),
+        sh_degree,
         band_degree: sh::MAX_DEGREE,
-        dropout: Dropout::default(),
-        disparity_weight: 0.0,
-        splats: Some(AdamStep {
-            number: 1,
-            n_splats: scene.splats.len() as u32,
-            sh_degree: scene.splats.sh_degree(),
-            rates,
-            opacity_weight: 0.0,
-            scale_weight: 0.0,
-            noise: 0.0,
-            seed: 0,
-            visible_only: false,
-        }),
-        texels: (!scene.meshes.is_empty()).then_some(TexelStep {
-            number: 1,
-            base_rate: 0.0,
-            band_rate: 0.0,
-            visited_only: false,
-            holds_opacity: false,
-        }),
+        splats: Some(AdamStep { number: 1, n_splats, sh_degree, ..AdamStep::default() }),
+        texels: (!scene.meshes.is_empty()).then_some(texels),
+        ..Step::still(camera, truth)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The bytes per splat, texel and pixel stated in ARCHITECTURE.md, compared with actual allocations.
 
-use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 
 use super::{
     Gpu, LayeredRenderer, Renderer,
@@ -13,7 +13,8 @@ use super::{
     vertices::VertexState,
 };
 use crate::render::contract::{ImageModel, ShDirection};
-use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, SplatArrays, Splats, Texture};
+use crate::scene::testing::{ahead, alike};
+use crate::scene::{Atlas, Camera, Composition, HybridScene, Mesh, SplatArrays, Splats, Texture};
 
 const SH_DEGREE: u32 = 3;
 const SH_TERMS: f64 = 16.0;
@@ -34,24 +35,15 @@ enum Kind {
 
 /// `n` splats, a triangle with a base map of `texels`² texels, and a picture of `side`² pixels.
 fn seen(n: usize, texels: u32, side: u32) -> (HybridScene, Camera) {
-    let splats = Splats::new(
-        vec![Vec3::ZERO; n],
-        vec![Quat::IDENTITY; n],
-        vec![Vec3::splat(-9.0); n],
-        vec![0.0; n],
-        SH_DEGREE,
-        vec![[0.0; 3]; n * SH_TERMS as usize],
-    )
-    .unwrap();
+    let arrays = alike(vec![Vec3::ZERO; n], -9.0, 0.0, [0.0; 3]).into_arrays();
+    let splats = arrays.with_sh_degree(SH_DEGREE).check().unwrap();
     let corners = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
     let uvs = vec![[Vec2::ZERO, Vec2::X, Vec2::Y]];
     let atlas = Atlas::new(Texture::zeros(texels, texels, 4), None).unwrap();
     let mesh = Mesh::new(corners, vec![[0, 1, 2]], uvs, atlas).unwrap();
     let composition = Composition { layers: LAYERS, ..Composition::default() };
     let scene = HybridScene { splats, meshes: vec![mesh], composition };
-    let size = f64::from(side);
-    let intrinsics = Intrinsics { width: side, height: side, fx: size, fy: size, cx: 0.5 * size, cy: 0.5 * size };
-    (scene, Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap())
+    (scene, ahead([side, side], f64::from(side), -3.0 * DVec3::Z))
 }
 
 /// Training of up to `most` splats.
@@ -248,8 +240,7 @@ fn the_account_of_moving_vertices_is_what_is_allocated() {
     let atlas = Atlas::new(Texture::zeros(16, 16, 4), None).unwrap();
     let meshes = vec![Mesh::new(positions, triangles, uvs, atlas).unwrap()];
     let scene = HybridScene { splats: Splats::empty(0), meshes, composition: Composition::default() };
-    let intrinsics = Intrinsics { width: 16, height: 16, fx: 16.0, fy: 16.0, cx: 8.0, cy: 8.0 };
-    let camera = Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 3.0)).unwrap();
+    let camera = ahead([16, 16], 16.0, -3.0 * DVec3::Z);
     let peak = |vertices_move: bool| {
         let gpu = Gpu::open(None).unwrap();
         let mut training = Training::new(&gpu, &scene, &[camera], 0.2).unwrap();

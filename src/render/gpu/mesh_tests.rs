@@ -2,10 +2,9 @@
 
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4, Vec2, Vec3};
 
-use super::device::{Buffer, Frame, Gpu, Timer};
+use super::device::{Buffer, Frame, Gpu};
 use super::mesh::{BIN, MeshStage, binning_shares};
 use super::status::status_buffer;
-use super::texels::TexelStep;
 use super::view::{VIEW_WORDS, View};
 use crate::scene::{Atlas, Camera, Composition, Intrinsics, Mesh, Texture, sh};
 
@@ -395,45 +394,4 @@ fn no_mesh_costs_nothing() {
     assert_eq!(frame.dispatches(), 0);
     frame.submit();
     assert!(rig.gpu.peak_bytes() < 20_000, "{} bytes", rig.gpu.peak_bytes());
-}
-
-/// Prints the time of every stage; not a test of correctness. `cargo test --release stage_times -- --ignored
-/// --nocapture`
-#[test]
-#[ignore = "a measurement"]
-fn stage_times() {
-    for (layers, degree) in [(1, 0), (1, 2), (2, 2), (4, 2)] {
-        let mut random = Random(7);
-        let bands = (degree > 0).then(|| random.texture(256, 256, 24, 0.2));
-        let maps = Atlas::new(random.texture(1024, 1024, 4, 1.0), bands).unwrap();
-        let meshes = [sphere(320, 157, Vec3::new(0.0, 0.0, 2.2), 1.0, maps)];
-        let view = view(960, 540, DMat3::IDENTITY, layers, &meshes);
-        let rig = Rig::new(Gpu::open(None).unwrap(), &view, &meshes, true);
-        let weights: Vec<f32> = (0..4 * layers as usize * view.pixels()).map(|_| random.signed()).collect();
-        rig.gpu.write(rig.stage.layer_gradient(), 0, &weights);
-        rig.stage.set_step(
-            &rig.gpu,
-            &TexelStep { number: 1, base_rate: 5e-4, band_rate: 5e-4, visited_only: false, holds_opacity: false },
-        );
-        let mut timer = Timer::new(&rig.gpu).unwrap();
-        let mut best: Vec<(String, f64)> = vec![];
-        for _ in 0..5 {
-            let mut frame = Frame::timed(&rig.gpu, &mut timer);
-            rig.stage.record_forward(&mut frame);
-            rig.stage.record_backward(&mut frame);
-            rig.stage.record_adam(&mut frame);
-            frame.submit();
-            let times = timer.seconds(&rig.gpu).unwrap();
-            if best.is_empty() {
-                best = times;
-            } else {
-                best.iter_mut().zip(times).for_each(|(b, t)| b.1 = b.1.min(t.1));
-            }
-        }
-        let covered = rig.layers(&view).0.iter().filter(|&&z| z > 0.0).count();
-        eprintln!("{} triangles, {layers} layers, degree {degree}, {covered} fragments", rig.stage.n_triangles());
-        for (label, seconds) in best {
-            eprintln!("  {:8.3} ms  {label}", 1e3 * seconds);
-        }
-    }
 }

@@ -90,7 +90,7 @@ pub(crate) struct Poses {
     /// Kernels `correct`, `pull` and `update`.
     kernels: [Kernel; 3],
     step: Buffer,
-    views: PerViewBuffers<FLOATS>,
+    pub(super) views: PerViewBuffers<FLOATS>,
     partial: Buffer,
     stages: Option<[Stage; 3]>,
 }
@@ -145,24 +145,6 @@ impl Poses {
             frame.dispatch(update, 1);
         }
     }
-
-    /// Takes back the last `skipped` steps, see [`PerViewBuffers::settle`].
-    pub(crate) fn settle(&mut self, skipped: u32) {
-        self.views.settle(skipped);
-    }
-
-    /// Reads the whole state. Waits.
-    ///
-    /// # Errors
-    /// If the driver failed.
-    pub(crate) fn read(&self, gpu: &Gpu) -> Result<PoseState, GpuError> {
-        self.views.read(gpu)
-    }
-
-    /// Replaces the state by one of as many views.
-    pub(crate) fn write(&mut self, gpu: &Gpu, state: &PoseState) {
-        self.views.write(gpu, state);
-    }
 }
 
 #[cfg(test)]
@@ -208,7 +190,7 @@ mod tests {
         poses.record_update(&mut frame);
         frame.submit();
 
-        let [first, _] = poses.read(&gpu).unwrap().moments;
+        let [first, _] = poses.views.read(&gpu).unwrap().moments;
         let seen = || (0..N).filter(|i| is_seen(*i));
         for axis in 0..3 {
             let turn: f64 = seen().map(|i| f64::from(by_turn[i][axis])).sum();

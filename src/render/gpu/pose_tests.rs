@@ -6,20 +6,15 @@ use rand_pcg::Pcg64Mcg;
 
 use super::{
     Gpu,
-    adam::{AdamStep, SplatRates},
-    loss::TruthAlpha,
-    photographs::Truth,
+    adam::AdamStep,
     pose::{FLOATS, PoseState, PoseStep},
     training::{Step, Training, TrainingOptions},
-    view::Dropout,
 };
 use crate::{
     render::{reference, testing},
-    scene::{Camera, HybridScene, OrderMode, PixelFilter, Splats},
+    scene::{Camera, HybridScene, OrderMode, PixelFilter, gather},
 };
 
-const RATES: SplatRates =
-    SplatRates { mean: 0.0, opacity: 0.0, rotation: 0.0, log_scale: 0.0, sh_dc: 0.0, sh_rest: 0.0 };
 const POSE: PoseStep = PoseStep { view: 1, turn_rate: 1e-3, shift_rate: 2e-3 };
 /// Rotation vector and translation of the trained view's correction.
 const CHANGE: [DVec3; 2] = [DVec3::new(0.02, -0.03, 0.05), DVec3::new(-0.04, 0.03, 0.05)];
@@ -38,43 +33,12 @@ fn changed(camera: &Camera, [turn, shift]: [DVec3; 2]) -> Camera {
     Camera::new(*camera.intrinsics(), rotation, -(rotation * (camera.center() + shift))).unwrap()
 }
 
-/// Photograph with values 0 or 255, so that no difference changes sign near the rendered values.
-fn truth(camera: &Camera) -> Vec<u8> {
-    let k = camera.intrinsics();
-    (0..k.width * k.height)
-        .flat_map(|p| [p, p / 3, p / 7].map(|v| if v % 5 < 2 { 255 } else { 0 }).into_iter().chain([255]))
-        .collect()
-}
-
 fn step(training: &mut Training, camera: &Camera, sh_degree: u32, pose: Option<PoseStep>) {
-    let splats = AdamStep {
-        number: 1,
-        n_splats: training.pipeline.front.n_splats as u32,
-        sh_degree,
-        rates: RATES,
-        opacity_weight: 0.0,
-        scale_weight: 0.0,
-        noise: 0.0,
-        seed: 0,
-        visible_only: false,
-    };
-    training
-        .step(&Step {
-            camera,
-            truth: Truth::Sent { rgba: &truth(camera), number: None },
-            truth_alpha: TruthAlpha::Ignore,
-            background: [0.3, 0.2, 0.1],
-            sh_degree,
-            band_degree: 0,
-            dropout: Dropout::default(),
-            disparity_weight: 0.0,
-            splats: Some(splats),
-            texels: None,
-            vertices: None,
-            exposure: None,
-            pose,
-        })
-        .unwrap();
+    let n_splats = training.n_splats() as u32;
+    let splats = Some(AdamStep { number: 1, n_splats, sh_degree, ..AdamStep::default() });
+    let truth = testing::photograph(camera);
+    let still = Step::still(camera, &truth);
+    training.step(&Step { background: [0.3, 0.2, 0.1], sh_degree, splats, pose, ..still }).unwrap();
 }
 
 /// Mean absolute difference between the reference's rendering and the photograph.
@@ -103,7 +67,7 @@ fn assert_gradient_of(mut training: Training, scene: &HybridScene, camera: &Came
         step(&mut training, camera, scene.splats.sh_degree(), Some(POSE));
     }
     let after = training.read_poses().unwrap().unwrap();
-    let truth = truth(camera);
+    let truth = testing::photograph(camera);
     assert!((training.loss().unwrap().l1 - l1(scene, &changed(camera, CHANGE), &truth)).abs() < 1e-5);
 
     // Adam's first moment after the first step is a tenth of the gradient.
@@ -156,15 +120,7 @@ fn more_splats_than_there_was_room_for_pull_at_poses() {
     let (mut scene, camera) = testing::random_scene(5, 300, 0, 2, 1, OrderMode::Stable);
     scene.meshes.clear();
     scene.composition.background = [0.3, 0.2, 0.1];
-    let few = Splats::new(
-        scene.splats.means()[..10].to_vec(),
-        scene.splats.rotations()[..10].to_vec(),
-        scene.splats.log_scales()[..10].to_vec(),
-        scene.splats.opacity_logits()[..10].to_vec(),
-        scene.splats.sh_degree(),
-        (0..10).flat_map(|i| scene.splats.sh_of(i)).copied().collect(),
-    );
-    let few = HybridScene { splats: few.unwrap(), meshes: vec![], composition: scene.composition };
+    let few = HybridScene { splats: gather(scene.splats.clone(), &(0..10).collect::<Vec<usize>>()), ..scene.clone() };
     let options = TrainingOptions { ssim_weight: 0.0, absolute_gradients: true, ..TrainingOptions::default() };
     let mut training = Training::with_options(&gpu, &few, &[camera], &options).unwrap();
     training.refine_poses(&poses()).unwrap();

@@ -18,26 +18,22 @@ impl Source {
     ///
     /// # Panics
     /// If `i` is 2³⁰ or more: the geometry of as many takes 52 GB.
-    #[must_use]
     pub(crate) fn new(i: usize) -> Self {
         assert!(i <= Self::SPLAT as usize, "at most 2³⁰ splats");
         Self(i as u32)
     }
 
     /// The same source, with all moments set to zero.
-    #[must_use]
     pub(crate) fn without_moments(self) -> Self {
         Self(self.0 | Self::FRESH)
     }
 
     /// The same source, with the moments of the opacity set to zero.
-    #[must_use]
     pub(crate) fn without_opacity_moments(self) -> Self {
         Self(self.0 | Self::FRESH_OPACITY)
     }
 
     /// Index of the splat.
-    #[must_use]
     pub(crate) fn splat(self) -> usize {
         (self.0 & Self::SPLAT) as usize
     }

@@ -69,11 +69,11 @@ fn view_words(camera: &Camera) -> [f32; VIEW] {
 
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, DVec3, Quat, Vec3};
+    use glam::{DMat3, DVec3, Vec3};
 
     use super::*;
     use crate::render::gpu::splats::SplatBuffers;
-    use crate::scene::{Intrinsics, Splats};
+    use crate::scene::{Intrinsics, testing::alike};
 
     /// A camera at (0, 0, −`distance`) that looks along +z.
     fn camera(distance: f64, focal: f64) -> Camera {
@@ -97,15 +97,7 @@ mod tests {
             [2.0 * edge + 1e-4, 0.0, 1.0],
         ];
         let n = means.len();
-        let splats = Splats::new(
-            means.map(Vec3::from).to_vec(),
-            vec![Quat::IDENTITY; n],
-            vec![Vec3::ZERO; n],
-            vec![0.0; n],
-            0,
-            vec![[0.0; 3]; n],
-        )
-        .unwrap();
+        let splats = alike(means.map(Vec3::from).to_vec(), 0.0, 0.0, [0.0; 3]);
         let buffers = SplatBuffers::new(&gpu, n, 0).unwrap();
         buffers.write(&gpu, &splats);
         smoothing.run(&gpu, &buffers.geometry, n);

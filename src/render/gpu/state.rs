@@ -128,25 +128,23 @@ fn smoothed(of: Geometry) -> (Vec3, f32) {
 }
 
 /// Sigmoid in f32, as the GPU computes it; elsewhere that of [`crate::scene`] is used.
-#[must_use]
 pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
 /// Inverse of [`sigmoid`], that of [`crate::scene`] in f32.
-#[must_use]
 pub(crate) fn logit(p: f32) -> f32 {
     crate::scene::logit(p.into()) as f32
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use glam::{DMat3, DVec3, Quat};
+    use glam::{DVec3, Quat};
 
     use super::*;
     use crate::render::reference::{self, Parameters};
     use crate::render::testing::largest;
-    use crate::scene::{Camera, Composition, HybridScene, Intrinsics};
+    use crate::scene::{Composition, HybridScene, testing::ahead};
 
     /// `n` splats at (i, 0, 0) with opacity ½, scale 0.01, different SH coefficients, and non-zero moments.
     pub(crate) fn state(n: usize, sh_degree: u32) -> SplatState {
@@ -197,8 +195,7 @@ pub(crate) mod tests {
         let splats = with(0.0, log_scale, 0.02).unwrap();
         // It looks as it did while training.
         let raw = with(0.0, log_scale, 0.0).unwrap();
-        let k = Intrinsics { width: 32, height: 24, fx: 300.0, fy: 300.0, cx: 16.0, cy: 12.0 };
-        let camera = Camera::new(k, DMat3::IDENTITY, DVec3::new(0.0, 0.0, 2.0)).unwrap();
+        let camera = ahead([32, 24], 300.0, -2.0 * DVec3::Z);
         let scene = |splats| HybridScene { splats, meshes: vec![], composition: Composition::default() };
         let raw = scene(raw);
         let parameters = Parameters { smoothing: vec![f64::from(0.02_f32)], ..Parameters::of(&raw) };

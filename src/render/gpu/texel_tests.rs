@@ -113,9 +113,7 @@ fn texel_gradients_match_finite_differences() {
             }
 
             // Adam also gets gradients from coarser levels: its first moment is a tenth of the gradient.
-            let step =
-                TexelStep { number: 1, base_rate: 0.0, band_rate: 0.0, visited_only: false, holds_opacity: false };
-            rig.stage.set_step(&rig.gpu, &step);
+            rig.stage.set_step(&rig.gpu, &TexelStep { number: 1, ..TexelStep::default() });
             let mut frame = Frame::new(&rig.gpu);
             rig.stage.record_adam(&mut frame);
             frame.submit();

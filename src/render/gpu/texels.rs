@@ -30,7 +30,7 @@ pub(crate) fn peak_kernel(gpu: &Gpu, defines: &Defines, peak: u32) -> Kernel {
 }
 
 /// What a step of Adam needs besides the gradients.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct TexelStep {
     /// Number of this step, from 1.
     pub(crate) number: u32,

@@ -72,6 +72,28 @@ pub(crate) struct Step<'a> {
     pub(crate) pose: Option<PoseStep>,
 }
 
+impl<'a> Step<'a> {
+    /// A step that changes nothing: meshes, of SH degree 0 and before black, are compared with an RGBA8 photograph,
+    /// whose alpha is ignored.
+    pub(crate) fn still(camera: &'a Camera, rgba: &'a [u8]) -> Self {
+        Self {
+            camera,
+            truth: Truth::Sent { rgba, number: None },
+            truth_alpha: TruthAlpha::Ignore,
+            background: [0.0; 3],
+            sh_degree: 0,
+            band_degree: 0,
+            dropout: Dropout::default(),
+            disparity_weight: 0.0,
+            splats: None,
+            texels: None,
+            vertices: None,
+            exposure: None,
+            pose: None,
+        }
+    }
+}
+
 /// Parts of a scene to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Show {
@@ -262,7 +284,7 @@ impl<'g> Training<'g> {
     /// Every step must then name its view.
     pub(crate) fn expose(&mut self, state: &ExposureState) -> Result<(), GpuError> {
         if let Some(exposures) = &mut self.exposures {
-            exposures.write(self.gpu, state);
+            exposures.views.write(self.gpu, state);
             return Ok(());
         }
         let (pipeline, backward, truth) = (&self.pipeline, &self.backward, &self.photographs.shown);
@@ -275,14 +297,14 @@ impl<'g> Training<'g> {
 
     /// Reads the exposures, if there are any. Waits.
     pub(crate) fn read_exposures(&self) -> Result<Option<ExposureState>, GpuError> {
-        self.exposures.as_ref().map(|exposures| exposures.read(self.gpu)).transpose()
+        self.exposures.as_ref().map(|exposures| exposures.views.read(self.gpu)).transpose()
     }
 
     /// Enables corrections of the steps' cameras, optimised by `Step::pose`, or replaces them by others of as many
     /// views. Every step must then name its view. Meshes do not contribute to pose gradients.
     pub(crate) fn refine_poses(&mut self, state: &PoseState) -> Result<(), GpuError> {
         if let Some(poses) = &mut self.poses {
-            poses.write(self.gpu, state);
+            poses.views.write(self.gpu, state);
             return Ok(());
         }
         self.backward.differentiate_poses(self.gpu, &self.pipeline)?;
@@ -294,7 +316,7 @@ impl<'g> Training<'g> {
 
     /// Reads the corrections, if there are any. Waits.
     pub(crate) fn read_poses(&self) -> Result<Option<PoseState>, GpuError> {
-        self.poses.as_ref().map(|poses| poses.read(self.gpu)).transpose()
+        self.poses.as_ref().map(|poses| poses.views.read(self.gpu)).transpose()
     }
 
     /// Sets the training views for [`Self::smooth`], which smooths splats as far as these cannot tell.
@@ -355,8 +377,8 @@ impl<'g> Training<'g> {
         let (words, means) = self.gpu.read_both::<u32, [f32; 2]>(status, loss)?;
         let look = Look { status: Status::of(&words), loss: LossValues::of(&means) };
         let Status { skipped, pairs: needed, .. } = look.status;
-        self.exposures.iter_mut().for_each(|exposures| exposures.settle(skipped));
-        self.poses.iter_mut().for_each(|poses| poses.settle(skipped));
+        self.exposures.iter_mut().for_each(|exposures| exposures.views.settle(skipped));
+        self.poses.iter_mut().for_each(|poses| poses.views.settle(skipped));
         if skipped > 0 {
             let longer = self.pipeline.front.longer_lists(self.gpu, needed);
             self.lengthen_lists(longer)?;

@@ -7,7 +7,6 @@ use super::{
     adam::{AdamStep, SplatRates},
     exposure::{ExposureState, ExposureStep},
     geometry::{GEOMETRY_FLOATS, OPACITY},
-    loss::TruthAlpha,
     photographs::Truth,
     pose::{PoseState, PoseStep},
     rows::Source,
@@ -23,28 +22,21 @@ use crate::{
         reference::{self, Image, Parameters},
         testing,
     },
-    scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, gather, sh},
+    scene::{
+        Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, OrderMode, Splats, Texture, gather, sh,
+        testing::{ahead, alike},
+    },
 };
 
 pub(super) const SIDE: u32 = 256;
 
 pub(super) fn camera(distance: f64) -> Camera {
-    let size = f64::from(SIDE);
-    let intrinsics = Intrinsics { width: SIDE, height: SIDE, fx: size, fy: size, cx: 0.5 * size, cy: 0.5 * size };
-    Camera::new(intrinsics, DMat3::IDENTITY, DVec3::new(0.0, 0.0, distance)).unwrap()
+    ahead([SIDE, SIDE], f64::from(SIDE), -distance * DVec3::Z)
 }
 
 /// `n` splats and `triangles` triangles, each of which covers the whole image.
 pub(super) fn scene(n: usize, triangles: usize) -> HybridScene {
-    let splats = Splats::new(
-        (0..n).map(|i| Vec3::new(0.0, 0.0, 0.1 * i as f32)).collect(),
-        vec![Quat::IDENTITY; n],
-        vec![Vec3::ZERO; n],
-        vec![0.0; n],
-        0,
-        vec![[0.5; 3]; n],
-    )
-    .unwrap();
+    let splats = alike((0..n).map(|i| Vec3::new(0.0, 0.0, 0.1 * i as f32)).collect(), 0.0, 0.0, [0.5; 3]);
     let corners = |i: usize| {
         let z = 0.01 * i as f32;
         [Vec3::new(-20.0, -20.0, z), Vec3::new(20.0, -20.0, z), Vec3::new(0.0, 40.0, z)]
@@ -89,32 +81,13 @@ fn splats_of_small_scenes_are_drawn_in_their_order() {
 fn usual<'a>(training: &Training, camera: &'a Camera, truth: &'a [u8]) -> Step<'a> {
     let sh_degree = training.pipeline.front.splats.sh_degree;
     let rates = SplatRates { mean: 1e-3, opacity: 0.05, rotation: 1e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1e-4 };
-    let splats = AdamStep {
-        number: 1,
-        n_splats: training.pipeline.front.n_splats as u32,
-        sh_degree,
-        rates,
-        opacity_weight: 0.0,
-        scale_weight: 0.0,
-        noise: 0.0,
-        seed: 0,
-        visible_only: false,
-    };
-    let texels = TexelStep { number: 1, base_rate: 0.01, band_rate: 0.01, visited_only: false, holds_opacity: false };
+    let n_splats = training.n_splats() as u32;
     Step {
-        camera,
-        truth: Truth::Sent { rgba: truth, number: None },
-        truth_alpha: TruthAlpha::Ignore,
-        background: [0.0; 3],
         sh_degree,
         band_degree: 2,
-        dropout: Dropout::default(),
-        disparity_weight: 0.0,
-        splats: Some(splats),
-        texels: Some(texels),
-        vertices: None,
-        exposure: None,
-        pose: None,
+        splats: Some(AdamStep { number: 1, n_splats, sh_degree, rates, ..AdamStep::default() }),
+        texels: Some(TexelStep { number: 1, base_rate: 0.01, band_rate: 0.01, ..TexelStep::default() }),
+        ..Step::still(camera, truth)
     }
 }
 

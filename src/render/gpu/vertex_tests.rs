@@ -4,11 +4,8 @@ use glam::{DVec3, Vec2, Vec3};
 
 use super::{
     Gpu,
-    loss::TruthAlpha,
-    photographs::Truth,
     training::{Show, Step, Training},
     vertices::{VertexState, VertexStep},
-    view::Dropout,
 };
 use crate::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture};
 
@@ -56,21 +53,7 @@ fn sheet(z: impl Fn(f32, f32) -> f32) -> HybridScene {
 
 /// A step that moves only vertices.
 fn of_vertices<'a>(camera: &'a Camera, truth: &'a [u8], vertices: Option<VertexStep>) -> Step<'a> {
-    Step {
-        camera,
-        truth: Truth::Sent { rgba: truth, number: None },
-        truth_alpha: TruthAlpha::Ignore,
-        background: [0.0; 3],
-        sh_degree: 0,
-        band_degree: 0,
-        dropout: Dropout::default(),
-        disparity_weight: 0.0,
-        splats: None,
-        texels: None,
-        vertices,
-        exposure: None,
-        pose: None,
-    }
+    Step { vertices, ..Step::still(camera, truth) }
 }
 
 fn rms_height(meshes: &[Mesh]) -> f32 {

@@ -5,14 +5,10 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 use crate::render::contract::{ImageModel, ShDirection};
 use crate::render::testing::{largest, nearly_opaque, random_scene, smooth_scene, two_rays};
+use crate::scene::testing::ahead;
 use crate::scene::{Atlas, Composition, Intrinsics, Mesh, OrderMode, PixelFilter, Splats, Texture};
 
 const MODES: [OrderMode; 3] = [OrderMode::Stable, OrderMode::SurfaceConsistent, OrderMode::Direct];
-
-fn camera(width: u32, height: u32, focal: f64) -> Camera {
-    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
-    Camera::new(Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, DMat3::IDENTITY, DVec3::ZERO).unwrap()
-}
 
 fn logit(opacity: f32) -> f32 {
     (opacity / (1.0 - opacity)).ln()
@@ -78,7 +74,7 @@ fn projection_has_the_golden_values() {
     close(r.row(0).y, -0.610526316);
     close(r.row(1).z, -0.315789474);
     close(r.row(2).x, 0.442105263);
-    let splat = project(&scene, &camera(640, 480, 500.0), &parameters, 0).unwrap();
+    let splat = project(&scene, &ahead([640, 480], 500.0, DVec3::ZERO), &parameters, 0).unwrap();
     close(splat.covariance.x_axis.x, 133.394387324 + 0.3);
     close(splat.covariance.x_axis.y, 68.329074881);
     close(splat.covariance.y_axis.y, 61.107197163 + 0.3);
@@ -544,8 +540,7 @@ fn peaks_of_an_isotropic_splat_are_known() {
 /// For splats that are small as seen from the camera, linearised projection is exact except for the low-pass filter.
 #[test]
 fn the_two_models_agree_on_small_splats() {
-    let k = Intrinsics { width: 64, height: 64, fx: 4e4, fy: 4e4, cx: 32.0, cy: 32.0 };
-    let camera = Camera::new(k, DMat3::IDENTITY, DVec3::ZERO).unwrap();
+    let camera = ahead([64, 64], 4e4, DVec3::ZERO);
     let splats = Splats::new(
         vec![Vec3::new(0.0003, -0.0002, 3.0)],
         vec![Quat::from_xyzw(0.1, -0.2, 0.3, 0.9)],
