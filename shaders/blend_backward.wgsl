@@ -37,13 +37,7 @@
 const BATCH: u32 = 64u;
 
 var<workgroup> batch_number: array<u32, BATCH>;
-var<workgroup> batch_center: array<vec4f, BATCH>;
-var<workgroup> batch_squares: array<vec4f, BATCH>;
-var<workgroup> batch_color: array<vec4f, BATCH>;
-//#if LAYERS
-var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
-var<workgroup> batch_bucket: array<u32, BATCH>;
-//#end
+//#import shared/batch.wgsl with COLOR=vec4f
 //#if SUBGROUPS
 // [subgroup][splat of the batch][SUMS], for as many splats as there is room for.
 const SUM_FLOATS: u32 = 2560u;
@@ -109,6 +103,7 @@ fn main(
 //#for j in 0..PER_THREAD
     let y$j = y + $ju;
     let py$j = f32(y$j) + 0.5;
+    let inside$j = x < view.size.x && y$j < view.size.y;
     let pixel$j = y$j * view.size.x + x;
     var g$j = vec4f(0.0);
 //#for b in 0..BUCKETS
@@ -120,7 +115,7 @@ fn main(
 //#for l in 0..LAYERS
     var depth$j_$l = EMPTY_DEPTH;
 //#end
-    if x < view.size.x && y$j < view.size.y {
+    if inside$j {
         g$j = image_gradient[pixel$j];
 //#for l in 0..LAYERS
         let d$l = layer_depth[$lu * n_pixels + pixel$j];
@@ -158,15 +153,7 @@ fn main(
 //#end
     }
 //#end
-//#for l in 0..LAYERS
-    var low$l = EMPTY_DEPTH;
-    var high$l = 0.0;
-//#for j in 0..PER_THREAD
-    low$l = min(low$l, depth$j_$l);
-    high$l = max(high$l, select(0.0, depth$j_$l, x < view.size.x && y$j < view.size.y));
-//#end
-    include_depths($lu, low$l, high$l);
-//#end
+//#import shared/tile_depths.wgsl
     atomicMax(&last_end, last);
     workgroupBarrier();
     if thread == 0u {
@@ -185,17 +172,8 @@ fn main(
         let n = min(range.z, range.y - start);
         for (var s = thread; s < n; s += THREADS) {
             let pair = numbered[start + s];
-            let i = pair.x;
             batch_number[s] = pair.y;
-            batch_center[s] = projected[3u * i];
-            batch_squares[s] = projected[3u * i + 1u];
-            batch_color[s] = projected[3u * i + 2u];
-//#for l in 0..LAYERS
-            batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
-//#end
-//#if LAYERS
-            batch_bucket[s] = tile_bucket(i);
-//#end
+            load_splat(s, pair.x, projected[3u * pair.x + 2u]);
         }
         workgroupBarrier();
 //#if RUNS
@@ -249,19 +227,10 @@ fn main(
 //#for j in 0..PER_THREAD
 //#for b in 0..BUCKETS
                     {
+                        let y = y$m_$j;
+                        let raw = raw$m_$j;
                         let alpha = alpha$m_$j_$b;
-                        let w = t[$j][$b] * alpha;
-                        let c = dot(g$j, value$m);
-                        q[$j][$b] -= w * c;
-                        // The cap passes no gradient.
-                        let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw$m_$j > ALPHA_CAP);
-                        t[$j][$b] *= 1.0 - alpha;
-                        let p = before[$j][$b] * alpha * slope;
-                        sum_p$m += p * vec3f(1.0, y$m_$j, y$m_$j * y$m_$j);
-//#if ABSOLUTE
-                        sum_pull$m += abs(p * pull(squares$m, dx$m, y$m_$j));
-//#end
-                        sum_w$m += before[$j][$b] * w * vec4f(g$j.xyz, 1.0);
+//#import shared/pair_gradient.wgsl with M=$m J=$j B=$b
                     }
 //#end
 //#end
@@ -310,18 +279,7 @@ fn main(
 //#end
 //#for b in 0..BUCKETS
                     if bucket == $bu && start + s < end[$j][$b] {
-                        let w = t[$j][$b] * alpha;
-                        let c = dot(g$j, value);
-                        q[$j][$b] -= w * c;
-                        // The cap passes no gradient.
-                        let slope = select(t[$j][$b] * c - q[$j][$b] / (1.0 - alpha), 0.0, raw > ALPHA_CAP);
-                        t[$j][$b] *= 1.0 - alpha;
-                        let p = before[$j][$b] * alpha * slope;
-                        sum_p += p * vec3f(1.0, y, y * y);
-//#if ABSOLUTE
-                        sum_pull += abs(p * pull(squares, dx, y));
-//#end
-                        sum_w += before[$j][$b] * w * vec4f(g$j.xyz, 1.0);
+//#import shared/pair_gradient.wgsl with M= J=$j B=$b
                     }
 //#end
                 }

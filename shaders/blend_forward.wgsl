@@ -30,12 +30,8 @@ alias Blended = vec3f;                  // rgb
 
 const BATCH: u32 = 128u;
 
-var<workgroup> batch_center: array<vec4f, BATCH>;       // centre, depth, opacity
-var<workgroup> batch_squares: array<vec4f, BATCH>;
-var<workgroup> batch_color: array<Blended, BATCH>;
+//#import shared/batch.wgsl with COLOR=Blended
 //#if LAYERS
-var<workgroup> batch_threshold: array<f32, BATCH * LAYERS>;
-var<workgroup> batch_bucket: array<u32, BATCH>;
 var<workgroup> until: array<atomic<u32>, BUCKETS>;      // pair after the last that may be in a bucket
 //#end
 var<workgroup> finished: atomic<u32>;                   // threads with no open bucket left
@@ -94,15 +90,7 @@ fn main(
     }
 //#end
 //#end
-//#for l in 0..LAYERS
-    var low$l = EMPTY_DEPTH;
-    var high$l = 0.0;
-//#for j in 0..PER_THREAD
-    low$l = min(low$l, depth$j_$l);
-    high$l = max(high$l, select(0.0, depth$j_$l, inside$j));
-//#end
-    include_depths($lu, low$l, high$l);
-//#end
+//#import shared/tile_depths.wgsl
 //#if LAYERS
     // Otherwise the pixels of a bucket that has received all its splats would keep the tile going to the list's end.
     workgroupBarrier();
@@ -153,18 +141,10 @@ fn main(
         if workgroupUniformLoad(&n_finished) == THREADS { break; }
         for (var s = thread; s < min(BATCH, range.y - start); s += THREADS) {
             let i = pair_splats[start + s];
-            batch_center[s] = projected[3u * i];
-            batch_squares[s] = projected[3u * i + 1u];
 //#if SAVE
-            batch_color[s] = projected[3u * i + 2u];
+            load_splat(s, i, projected[3u * i + 2u]);
 //#else
-            batch_color[s] = projected[3u * i + 2u].xyz;
-//#end
-//#for l in 0..LAYERS
-            batch_threshold[s * LAYERS + $lu] = thresholds[i * LAYERS + $lu];
-//#end
-//#if LAYERS
-            batch_bucket[s] = tile_bucket(i);
+            load_splat(s, i, projected[3u * i + 2u].xyz);
 //#end
         }
         workgroupBarrier();

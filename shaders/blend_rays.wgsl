@@ -15,7 +15,7 @@
 // mean's pixel], [y axis, mean's pixel], [a × x axis, z], [a × y axis, 0].
 @group(0) @binding(9) var<storage, read> rays: array<vec4f>;
 //#if SH_BY_RAY
-@group(0) @binding(10) var<storage, read> sh: array<f32>;
+//#import shared/radiance.wgsl with BINDING=10
 //#end
 
 const SLOTS: u32 = 16u;                 // variables of their own while they are sought: depth0, …, depth15
@@ -44,17 +44,6 @@ fn peak(i: u32, at: vec2f) -> Peak {
     if finite && alpha >= ALPHA_CUT && depth > view.near { return Peak(depth, min(alpha, ALPHA_CAP)); }
     return Peak(0.0, 0.0);
 }
-
-//#if SH_BY_RAY
-fn radiance(i: u32, basis: array<f32, 16>) -> vec3f {
-    let first = i * 3u * SH_TERMS;
-    var color = vec3f(0.5);
-//#for k in 0..SH_TERMS
-    color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
-//#end
-    return max(color, vec3f(0.0));
-}
-//#end
 
 @compute @workgroup_size(256)
 fn main(

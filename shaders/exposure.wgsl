@@ -10,7 +10,7 @@
 // `update`: total of these sums, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
-//#import shared/adam.wgsl with FLOATS=vec4f
+//#import shared/adam_of_view.wgsl with TARGET=exposures FLAG=NOT_FINITE_EXPOSURES
 //#import shared/status.wgsl
 //#import shared/sum_rows.wgsl with ROWS=3
 
@@ -76,14 +76,5 @@ fn update(@builtin(local_invocation_index) thread: u32) {
     }
     add_up(thread);
     if thread >= 3u || step.rate == 0.0 || status.is_short != 0u { return; }
-    let i = 3u * step.view + thread;
-    let g = sums[256u * thread];
-    let m = moments_with(g, Moments(first[i], second[i]));
-    let value = exposures[i] - adam_step(m, vec4f(step.rate), step.correction_1, step.correction_2);
-    first[i] = m.first;
-    second[i] = m.second;
-    exposures[i] = value;
-    if !(are_finite(value) && are_finite(m.second)) {
-        atomicOr(&status.not_finite, NOT_FINITE_EXPOSURES);
-    }
+    learn(3u * step.view + thread, sums[256u * thread], step.rate);
 }

@@ -20,7 +20,6 @@
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
-const REACH: u32 = 5u;
 const ROWS: u32 = HEIGHT + 2u * REACH;
 // Strides of rows, in vectors, chosen so that threads on successive rows hit different banks.
 const STRIDE: u32 = WIDTH + 1u;         // of what is blurred along x, with a gap
@@ -106,8 +105,8 @@ fn forward(
         }
         //#end
         //#for k in 0..8
-        blurred[$k] = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
-            + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+        //#import shared/window.wgsl with NAME=blurred$k K=$k
+        blurred[$k] = blurred$k;
         //#end
     }
     workgroupBarrier();
@@ -129,8 +128,7 @@ fn forward(
     //#end
     //#for k in 0..5
     if is_inside(at + vec2u(0u, $ku)) {
-        let m = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
-            + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+        //#import shared/window.wgsl with NAME=m K=$k
         let s = ssim(m);
         sum += s.value;
         slopes[tile.channel * n_pixels + (at.y + $ku) * view.size.x + at.x] = vec4f(s.slopes, 0.0);
@@ -198,8 +196,8 @@ fn backward(
         }
         //#end
         //#for k in 0..8
-        blurred[$k] = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
-            + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+        //#import shared/window.wgsl with NAME=blurred$k K=$k
+        blurred[$k] = blurred$k;
         //#end
     }
     workgroupBarrier();
@@ -221,8 +219,7 @@ fn backward(
     //#end
     //#for k in 0..5
     if is_inside(at + vec2u(0u, $ku)) {
-        let g = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
-            + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+        //#import shared/window.wgsl with NAME=g K=$k
         let pixel = (at.y + $ku) * view.size.x + at.x;
         let c = colors(pixel, tile.channel, background);
         l1 += abs(c.x - c.y);

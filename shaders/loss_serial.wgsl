@@ -10,8 +10,6 @@
 //#import shared/view.wgsl
 //#import shared/loss_terms.wgsl
 
-const REACH: u32 = 5u;
-
 struct Strip {
     corner: vec2u,
     channel: u32,
@@ -54,8 +52,7 @@ fn forward(
         //#end
         //#for k in 0..8
         {
-            let blurred = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
-                + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+            //#import shared/window.wgsl with NAME=blurred K=$k
             let mean = part[10 * $k] + W5 * blurred;
             //#import shared/move_up.wgsl with K=$k
             let px = strip.corner.x + $ku;
@@ -95,8 +92,7 @@ fn backward(
         //#end
         //#for k in 0..8
         {
-            let blurred = W0 * v[$k + 5] + W1 * (v[$k + 4] + v[$k + 6]) + W2 * (v[$k + 3] + v[$k + 7])
-                + W3 * (v[$k + 2] + v[$k + 8]) + W4 * (v[$k + 1] + v[$k + 9]) + W5 * (v[$k] + v[$k + 10]);
+            //#import shared/window.wgsl with NAME=blurred K=$k
             let mean = part[10 * $k] + W5 * blurred;
             //#import shared/move_up.wgsl with K=$k
             let px = strip.corner.x + $ku;

@@ -8,7 +8,7 @@
 // `update`: total of these sums, and a step of Adam for the view. One workgroup.
 
 //#import shared/view.wgsl
-//#import shared/adam.wgsl with FLOATS=vec4f
+//#import shared/adam_of_view.wgsl with TARGET=poses FLAG=NOT_FINITE_POSES
 //#import shared/status.wgsl
 //#import shared/sum_rows.wgsl with ROWS=2
 
@@ -91,12 +91,5 @@ fn update(@builtin(local_invocation_index) thread: u32) {
         let across = cross(turn, g.xyz);
         g = vec4f(g.xyz - 0.5 * across + cross(turn, across) / 6.0, 0.0);
     }
-    let m = moments_with(g, Moments(first[i], second[i]));
-    let value = poses[i] - adam_step(m, vec4f(rate), step.correction_1, step.correction_2);
-    first[i] = m.first;
-    second[i] = m.second;
-    poses[i] = value;
-    if !(are_finite(value) && are_finite(m.second)) {
-        atomicOr(&status.not_finite, NOT_FINITE_POSES);
-    }
+    learn(i, g, rate);
 }

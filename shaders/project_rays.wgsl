@@ -13,7 +13,7 @@
 
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> geometry: array<vec4f>;
-@group(0) @binding(2) var<storage, read> sh: array<f32>;
+//#import shared/radiance.wgsl with BINDING=2
 // 3 per splat, for the tile lists: [ellipse's centre, least depth of a peak, opacity], [squares, 0], [colour, 0].
 @group(0) @binding(3) var<storage, read_write> projected: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> tile_count: array<u32>;
@@ -72,12 +72,7 @@ fn main(
     // Squares of the outline at the level that `ellipse` uses, which is not widened.
     let squares = vec3f(bare, outline.y, 0.0) / outline.x + vec3f(0.0, 0.0, bare * outline.x / det);
     let e = ellipse(center, squares, g.opacity);
-    let rows = row_span(e, view.tiles);
-    var count = 0u;
-    for (var row = rows.x; row < rows.y; row++) {
-        let columns = column_span(e, row, view.tiles);
-        count += max(columns.y, columns.x) - columns.x;
-    }
+    let count = tiles_touched(e, view.tiles);
     if count == 0u { return; }
 
     // The mean's ray in units of standard deviations, each relative to the largest.
@@ -91,18 +86,15 @@ fn main(
     rays[5u * i + 3u] = vec4f(((y - slope.y * z) * g.rotation) / areas, t.z);
     rays[5u * i + 4u] = vec4f(((slope.x * z - x) * g.rotation) / areas, 0.0);
 
-    var color = vec3f(0.5);
-//#if !SH_BY_RAY
-    let basis = sh_basis(normalize(g.mean - view.center));
-    let first = i * 3u * SH_TERMS;
-//#for k in 0..SH_TERMS
-    color += basis[$k] * vec3f(sh[first + 3u * $ku], sh[first + 3u * $ku + 1u], sh[first + 3u * $ku + 2u]);
-//#end
+//#if SH_BY_RAY
+    let color = vec3f(0.5);             // blend_rays computes it
+//#else
+    let color = radiance(i, sh_basis(normalize(g.mean - view.center)));
 //#end
     let least = max(t.z - (1.0 + ROUNDING) * sqrt(depth_variance) - ROUNDING * t.z, view.near);
     projected[3u * i] = vec4f(center, least, g.opacity);
     projected[3u * i + 1u] = vec4f(squares, 0.0);
-    projected[3u * i + 2u] = vec4f(max(color, vec3f(0.0)), 0.0);
+    projected[3u * i + 2u] = vec4f(color, 0.0);
     tile_count[i] = count;
     visible[i] = 1u;
 }

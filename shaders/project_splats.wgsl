@@ -40,12 +40,7 @@ fn main(
     let e = ellipse(p.center, p.squares, p.opacity);
     if !are_finite(vec4f(e.extent, 0.0, 0.0)) { return; }
     if !(max(e.extent.x, e.extent.y) < 1e6) || !(max(abs(p.center.x), abs(p.center.y)) < 1e7) { return; }
-    let rows = row_span(e, view.tiles);
-    var count = 0u;
-    for (var row = rows.x; row < rows.y; row++) {
-        let columns = column_span(e, row, view.tiles);
-        count += max(columns.y, columns.x) - columns.x;
-    }
+    let count = tiles_touched(e, view.tiles);
     if count == 0u { return; }
 
     let basis = sh_basis(normalize(g.mean - view.center));

@@ -8,22 +8,7 @@
 // digit and place in the block is moved there; pairs are fetched once they are in order, from the cache. A pass reads
 // 12 bytes per pair, that cache apart, and writes 8.
 
-struct Pass {
-    shift: u32,
-    mask: u32,
-}
-
-@group(0) @binding(0) var<storage, read> counts: array<u32>;
-@group(0) @binding(1) var<storage, read> keys_in: array<u32>;
-@group(0) @binding(2) var<storage, read> values_in: array<u32>;
-@group(0) @binding(3) var<storage, read_write> keys_out: array<u32>;
-@group(0) @binding(4) var<storage, read_write> values_out: array<u32>;
-// [digit] of all blocks together, then [digit][block].
-@group(0) @binding(5) var<storage, read_write> histograms: array<u32>;
-@group(0) @binding(6) var<uniform> digit_bits: Pass;
-
-//#import shared/group_index.wgsl
-//#import shared/workgroup_scan.wgsl
+//#import shared/sort_pass.wgsl
 
 const PLACE_BITS: u32 = 11u;
 const_assert BLOCK == 1u << PLACE_BITS;
@@ -35,18 +20,11 @@ var<workgroup> words: array<u32, BLOCK + BLOCK / 32u>;  // by `spread`: counters
 var<workgroup> digit_base: array<u32, DIGITS>;
 var<workgroup> shared_count: u32;
 
-fn item_count() -> u32 {
-    return min(counts[COUNT_WORD], arrayLength(&keys_in));
-}
-
 fn block_count(n: u32) -> u32 {
     return (n + BLOCK - 1u) / BLOCK;
 }
 
-fn digit_of(key: u32) -> u32 {
-    return (key >> digit_bits.shift) & digit_bits.mask;
-}
-
+// Place in `histograms`, which are [digit] of all blocks together, then [digit][block].
 fn of_block(digit: u32, block: u32, n_blocks: u32) -> u32 {
     return DIGITS + digit * n_blocks + block;
 }

@@ -1,32 +1,14 @@
 // One pass of a stable radix sort of (key, value) pairs by up to eight bits, least significant digit first, for
 // software adapters: few cores, lanes that read and write one by one, expensive barriers. Each thread walks a long
 // chunk of consecutive pairs with its own DIGITS = 256 counters, which is stable by construction and needs no barrier.
-// Same three dispatches as radix_sort.wgsl: histograms of chunks, their scan in digit-major order, scatter.
+// Same three dispatches as radix_sort.wgsl: histograms, [chunk][digit], their scan in digit-major order, scatter.
 
-struct Pass {
-    shift: u32,
-    mask: u32,
-}
-
-@group(0) @binding(0) var<storage, read> counts: array<u32>;
-@group(0) @binding(1) var<storage, read> keys_in: array<u32>;
-@group(0) @binding(2) var<storage, read> values_in: array<u32>;
-@group(0) @binding(3) var<storage, read_write> keys_out: array<u32>;
-@group(0) @binding(4) var<storage, read_write> values_out: array<u32>;
-@group(0) @binding(5) var<storage, read_write> histograms: array<u32>;  // [chunk][digit]
-@group(0) @binding(6) var<uniform> digit_bits: Pass;
-
-//#import shared/group_index.wgsl
-//#import shared/workgroup_scan.wgsl
+//#import shared/sort_pass.wgsl
 
 const LANES: u32 = 8u;
 const SHORTEST_CHUNK: u32 = 1024u;      // shorter chunks cost more for counters than for pairs
 
 var<workgroup> counters: array<u32, LANES * DIGITS>;    // [lane][digit]
-
-fn item_count() -> u32 {
-    return min(counts[COUNT_WORD], arrayLength(&keys_in));
-}
 
 fn chunk_length(n: u32) -> u32 {
     return max((n + MAX_CHUNKS - 1u) / MAX_CHUNKS, SHORTEST_CHUNK);
@@ -43,7 +25,7 @@ fn count(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     let mine = lane * DIGITS;
     for (var d = 0u; d <= digit_bits.mask; d++) { counters[mine + d] = 0u; }
     for (var i = start; i < end; i++) {
-        counters[mine + ((keys_in[i] >> digit_bits.shift) & digit_bits.mask)] += 1u;
+        counters[mine + digit_of(keys_in[i])] += 1u;
     }
     for (var d = 0u; d <= digit_bits.mask; d++) { histograms[chunk * DIGITS + d] = counters[mine + d]; }
 }
@@ -79,7 +61,7 @@ fn scatter(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) gr
     for (var d = 0u; d <= digit_bits.mask; d++) { counters[mine + d] = histograms[chunk * DIGITS + d]; }
     for (var i = start; i < end; i++) {
         let key = keys_in[i];
-        let slot = mine + ((key >> digit_bits.shift) & digit_bits.mask);
+        let slot = mine + digit_of(key);
         let to = counters[slot];
         counters[slot] = to + 1u;
         keys_out[to] = key;

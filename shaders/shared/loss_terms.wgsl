@@ -13,6 +13,7 @@
 @group(0) @binding(7) var<storage, read> exposures: array<vec4f>;         // [view][row], see exposure.wgsl
 //#end
 
+const REACH: u32 = 5u;                  // pixels of the window on either side of its centre
 // Half of the normalised Gaussian, σ = 1.5.
 const W0: f32 = 0.26601172;
 const W1: f32 = 0.21300554;

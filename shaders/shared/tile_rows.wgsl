@@ -43,6 +43,17 @@ fn column_span(e: Ellipse, row: u32, tiles: vec2u) -> vec2u {
     return tile_span(e.center.x + left, e.center.x + right, tiles.x);
 }
 
+// Number of tiles in all rows.
+fn tiles_touched(e: Ellipse, tiles: vec2u) -> u32 {
+    let rows = row_span(e, tiles);
+    var count = 0u;
+    for (var row = rows.x; row < rows.y; row++) {
+        let columns = column_span(e, row, tiles);
+        count += max(columns.y, columns.x) - columns.x;
+    }
+    return count;
+}
+
 // Horizontal offset of the ellipse at vertical offset dy, on the side of `sign`.
 fn edge(e: Ellipse, dy: f32, sign: f32) -> f32 {
     let q = e.squares;
