@@ -1,6 +1,8 @@
 //! Conversion between the optimised parameters (log-scale, opacity logit) and the linear values that exchange formats
 //! store.
 
+use glam::Vec3;
+
 use crate::scene::{self, Mesh, sigmoid};
 
 /// Range of opacities. The largest is the largest f32 below 1, with logit 16.6; the smallest is the smallest normal
@@ -51,6 +53,28 @@ pub(super) fn log_scale(scale: f32) -> (f32, bool) {
     (clamped.ln() as f32, clamped != f64::from(scale))
 }
 
+/// Logits of opacities and logarithms of scales; with a note if any of those at `at` had to be clamped.
+pub(super) fn parameters(
+    opacities: impl IntoIterator<Item = f32>,
+    scales: impl IntoIterator<Item = [f32; 3]>,
+    at: &str,
+    notes: &mut Vec<String>,
+) -> (Vec<f32>, Vec<Vec3>) {
+    let mut clamped = 0usize;
+    let mut clamp = |(value, was_clamped): (f32, bool)| {
+        clamped += usize::from(was_clamped);
+        value
+    };
+    let logits = opacities.into_iter().map(|o| clamp(logit(o))).collect();
+    let log_scales = scales.into_iter().map(|s| Vec3::from(s.map(|v| clamp(log_scale(v))))).collect();
+    if clamped > 0 {
+        notes.push(format!(
+            "{at}: {clamped} opacities not between 0 and 1 or scales not above 0 are clamped, so that their logit or logarithm is finite"
+        ));
+    }
+    (logits, log_scales)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -72,6 +96,21 @@ mod tests {
             assert!(l.is_finite() && clamped, "{x}");
         }
         assert!(log_scale(0.0).1 && logit(f32::NAN).0.is_nan());
+    }
+
+    #[test]
+    fn what_is_clamped_is_counted() {
+        let (half, e) = (0.5f32, std::f32::consts::E);
+        let mut notes = vec![];
+        let (logits, log_scales) = parameters([half, half], [[1.0, e, 1.0]], "/a", &mut notes);
+        assert_eq!((logits, log_scales[0].round()), (vec![0.0; 2], Vec3::Y));
+        assert!(notes.is_empty(), "{notes:?}");
+        let (logits, log_scales) = parameters([0.0, half, 1.0], [[0.0, 1.0, -1.0], [1.0; 3]], "/a", &mut notes);
+        assert!(logits.iter().all(|l| l.is_finite()) && log_scales.iter().all(|s| s.is_finite()));
+        assert!(
+            notes.len() == 1 && notes[0].starts_with("/a: 4 opacities not between 0 and 1 or scales "),
+            "{notes:?}"
+        );
     }
 
     #[test]

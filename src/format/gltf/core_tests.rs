@@ -59,6 +59,12 @@ impl Builder {
         index
     }
 
+    /// Adds the joints and weights of a skin to the attributes of three vertices.
+    pub(super) fn skinned(&mut self, attributes: &mut Value, joints: [[u8; 4]; 3], weights: [[f32; 4]; 3]) {
+        attributes["JOINTS_0"] = json!(self.accessor(5121, "VEC4", 3, joints.as_flattened()));
+        attributes["WEIGHTS_0"] = json!(self.floats(&weights));
+    }
+
     /// Bytes of the file; `rest` replaces the default content, one node with mesh 0.
     pub(super) fn file(&self, rest: &Value) -> Vec<u8> {
         let text = format!("data:application/octet-stream;base64,{}", base64::encode(&self.bytes));
@@ -255,9 +261,8 @@ fn what_leaves_the_base_colour_alone_may_be_required() {
 #[test]
 fn skins_and_morph_targets_come_in_their_rest_pose() {
     let (mut b, mut attributes) = triangle();
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]));
-    let weights = [[1.0f32, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
-    attributes["WEIGHTS_0"] = json!(b.floats(&weights));
+    let weights = [[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
+    b.skinned(&mut attributes, [[0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]], weights);
     let delta = b.floats(&[[0.0f32, 0.0, 1.0]; 3]);
     // Joint 0 was bound one unit along x, joint 1 at the origin.
     let mut bind = glam::Mat4::IDENTITY;

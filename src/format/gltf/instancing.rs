@@ -6,6 +6,7 @@ use glam::{DMat4, DVec3, DVec4};
 use serde_json::Value;
 
 use super::extension::{HYBRID, INSTANCING, Instancing, KHR_SPLATS, extension_of};
+use super::json::{index, items, primitives};
 use super::lift::Asset;
 use super::transform::unit;
 use crate::format::error::{Fault, from_value};
@@ -19,33 +20,30 @@ const PLACES: [&str; 3] = ["TRANSLATION", "ROTATION", "SCALE"];
 /// Nodes of a document whose mesh is shown once, regardless of instances.
 pub(in crate::format) struct Single {
     /// Nodes to which splats are bound.
-    nodes: HashSet<u64>,
+    nodes: HashSet<usize>,
     /// Meshes whose splats are bound.
-    meshes: HashSet<u64>,
+    meshes: HashSet<usize>,
 }
 
 impl Single {
     pub(in crate::format) fn of(root: &Value) -> Self {
         let (mut nodes, mut meshes) = (HashSet::new(), HashSet::new());
-        for (m, mesh) in (0..).zip(root.get("meshes").and_then(Value::as_array).into_iter().flatten()) {
-            for primitive in mesh.get("primitives").and_then(Value::as_array).into_iter().flatten() {
-                let khr = extension_of(primitive, KHR_SPLATS);
-                if let Some(binding) = khr.and_then(|khr| extension_of(khr, HYBRID)?.get("binding")) {
-                    meshes.insert(m);
-                    nodes.extend(binding.get("node").and_then(Value::as_u64));
-                }
+        for ((mesh, _), primitive) in primitives(root) {
+            let khr = extension_of(primitive, KHR_SPLATS);
+            if let Some(binding) = khr.and_then(|khr| extension_of(khr, HYBRID)?.get("binding")) {
+                meshes.insert(mesh);
+                nodes.extend(index(binding, "node"));
             }
         }
         Self { nodes, meshes }
     }
 
     /// Reason for which the mesh of a node is shown once, if it is.
-    fn why(&self, index: usize, node: &Value) -> Option<&'static str> {
-        let mesh = node.get("mesh").and_then(Value::as_u64);
+    fn why(&self, i: usize, node: &Value) -> Option<&'static str> {
         if node.get("skin").is_some() {
             return Some("it has a skin");
         }
-        let is_bound = self.nodes.contains(&(index as u64)) || mesh.is_some_and(|mesh| self.meshes.contains(&mesh));
+        let is_bound = self.nodes.contains(&i) || index(node, "mesh").is_some_and(|mesh| self.meshes.contains(&mesh));
         is_bound.then_some("splats are bound to it")
     }
 }
@@ -124,8 +122,7 @@ fn elements<const N: usize>(
 /// Whether a scene lacks part of a document's instances: instances that are shown once only, or custom attributes.
 pub(super) fn is_in_part(root: &Value) -> bool {
     let single = Single::of(root);
-    let nodes = root.get("nodes").and_then(Value::as_array).into_iter().flatten();
-    nodes.enumerate().any(|(i, node)| {
+    items(root, "nodes").iter().enumerate().any(|(i, node)| {
         extension_of(node, INSTANCING).is_some_and(|own| {
             let mut attributes = own.get("attributes").and_then(Value::as_object).into_iter().flatten();
             let has_others = attributes.any(|(name, _)| !PLACES.contains(&name.as_str()));

@@ -146,8 +146,7 @@ fn copies_move_with_their_node() {
 #[test]
 fn of_what_has_a_skin_one_copy_is_shown() {
     let (mut b, mut attributes) = triangle();
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
-    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0]; 3]));
+    b.skinned(&mut attributes, [[0; 4]; 3], [[1.0, 0.0, 0.0, 0.0]; 3]);
     let copies = copied(&json!({ "TRANSLATION": b.floats(&[[0.0f32; 3], [0.0, 0.0, 5.0]]) }));
     let document = json!({
         "meshes": [{ "primitives": [{ "attributes": attributes }] }], "skins": [{ "joints": [1] }],

@@ -20,6 +20,7 @@ use super::extension::{
     WEBP,
 };
 use super::integers::write_as_integers;
+use super::json::{index, indices, items, items_mut, primitives, primitives_mut, remove, strings};
 use super::uri::open_once;
 use super::{glb, meshopt};
 use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
@@ -155,8 +156,8 @@ impl Asset {
         write_as_integers(&mut root);
         // Freed early, because the text may contain all buffers.
         drop(json);
-        let extensions_used = strings(&root, "extensionsUsed");
-        let extensions_required = strings(&root, "extensionsRequired");
+        let [extensions_used, extensions_required] =
+            ["extensionsUsed", "extensionsRequired"].map(|key| strings(&root, key).map(str::to_owned).collect());
         let (buffers, places) = load_buffers(&mut root, bin, &folder)?;
         let Core { document, attributes, unplaced } = core(&root)?;
         let in_memory = |i: usize| match buffers.get(i) {
@@ -230,15 +231,15 @@ impl Asset {
 
     /// Whether a buffer view is one of the file's, not one added here.
     pub(super) fn has_view(&self, view: &gltf::buffer::View<'_>) -> bool {
-        self.root.get("bufferViews").and_then(Value::as_array).is_some_and(|views| view.index() < views.len())
+        view.index() < items(&self.root, "bufferViews").len()
     }
 
     /// Per channel of an animation in the core document, its index in the file.
     pub(super) fn channels(&self, animation: usize) -> Vec<usize> {
-        let nodes = self.root.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
-        let channels = self.root.pointer(&format!("/animations/{animation}/channels")).and_then(Value::as_array);
-        let of_core = channels.into_iter().flatten().enumerate().filter(|(_, channel)| is_core_channel(channel, nodes));
-        of_core.map(|(i, _)| i).collect()
+        let nodes = items(&self.root, "nodes").len();
+        let channels = items(&self.root, "animations").get(animation).map(|animation| items(animation, "channels"));
+        let channels = channels.into_iter().flatten().enumerate();
+        channels.filter(|(_, channel)| is_core_channel(channel, nodes)).map(|(i, _)| i).collect()
     }
 
     /// Rejects files of unsupported versions: of another major version, or with a minor version stated as required.
@@ -285,9 +286,7 @@ struct Core {
 
 fn core(root: &Value) -> Result<Core, Fault> {
     let mut core = root.clone();
-    if let Some(object) = core.as_object_mut() {
-        object.remove("extensionsRequired");
-    }
+    remove(&mut core, "extensionsRequired");
     let attributes = lift_attributes(&mut core)?;
     let unplaced = fill_positions(&mut core);
     lift_channels(&mut core)?;
@@ -305,11 +304,6 @@ fn core(root: &Value) -> Result<Core, Fault> {
     Ok(Core { document, attributes, unplaced })
 }
 
-fn strings(root: &Value, key: &str) -> Vec<String> {
-    let array = root.get(key).and_then(Value::as_array);
-    array.into_iter().flatten().filter_map(|v| v.as_str().map(str::to_owned)).collect()
-}
-
 /// Converts a path to a JSON pointer: `meshes[0].primitives[1]` → `/meshes/0/primitives/1`.
 fn rfc6901(path: &str) -> String {
     let mut pointer = String::from("/");
@@ -325,45 +319,37 @@ fn rfc6901(path: &str) -> String {
 
 /// Removes all attributes except positions and texture coordinates from the core.
 fn lift_attributes(root: &mut Value) -> Result<Attributes, Fault> {
-    let accessors = root.get("accessors").and_then(Value::as_array).map_or(0, Vec::len);
+    let accessors = items(root, "accessors").len();
     let mut lifted = HashMap::new();
-    let meshes = root.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten();
-    for (m, mesh) in meshes.enumerate() {
-        let primitives = mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten();
-        for (p, primitive) in primitives.enumerate() {
-            let Some(attributes) = primitive.get_mut("attributes").and_then(Value::as_object_mut) else { continue };
-            let mut others = BTreeMap::new();
-            for (name, value) in attributes.iter() {
-                // The crate uses POSITION as an index before checking it.
-                let index = value.as_u64().and_then(|i| usize::try_from(i).ok()).filter(|&i| i < accessors);
-                let index = index.ok_or_else(|| {
-                    let at = format!("/meshes/{m}/primitives/{p}/attributes/{name}");
-                    Fault::pointer(at, format!("an accessor below {accessors}"), value.to_string())
-                })?;
-                if !is_core(name) {
-                    others.insert(name.clone(), index);
-                }
+    for ((m, p), primitive) in primitives_mut(root) {
+        let Some(attributes) = primitive.get_mut("attributes").and_then(Value::as_object_mut) else { continue };
+        let mut others = BTreeMap::new();
+        for (name, value) in attributes.iter() {
+            // The crate uses POSITION as an index before checking it.
+            let index = value.as_u64().and_then(|i| usize::try_from(i).ok()).filter(|&i| i < accessors);
+            let index = index.ok_or_else(|| {
+                let at = format!("/meshes/{m}/primitives/{p}/attributes/{name}");
+                Fault::pointer(at, format!("an accessor below {accessors}"), value.to_string())
+            })?;
+            if !is_core(name) {
+                others.insert(name.clone(), index);
             }
-            attributes.retain(|name, _| is_core(name));
-            lifted.insert((m, p), others);
         }
+        attributes.retain(|name, _| is_core(name));
+        lifted.insert((m, p), others);
     }
     Ok(lifted)
 }
 
 /// Gives primitives without positions those of an accessor beyond those of the file; returns these primitives.
 fn fill_positions(core: &mut Value) -> HashSet<(usize, usize)> {
-    let accessor = core.get("accessors").and_then(Value::as_array).map_or(0, Vec::len);
+    let accessor = items(core, "accessors").len();
     let mut filled = HashSet::new();
-    let meshes = core.get_mut("meshes").and_then(Value::as_array_mut).into_iter().flatten();
-    for (m, mesh) in meshes.enumerate() {
-        let primitives = mesh.get_mut("primitives").and_then(Value::as_array_mut).into_iter().flatten();
-        for (p, primitive) in primitives.enumerate() {
-            let attributes = primitive.get_mut("attributes").and_then(Value::as_object_mut);
-            if let Some(attributes) = attributes.filter(|attributes| !attributes.contains_key("POSITION")) {
-                attributes.insert("POSITION".to_owned(), json!(accessor));
-                filled.insert((m, p));
-            }
+    for (id, primitive) in primitives_mut(core) {
+        let attributes = primitive.get_mut("attributes").and_then(Value::as_object_mut);
+        if let Some(attributes) = attributes.filter(|attributes| !attributes.contains_key("POSITION")) {
+            attributes.insert("POSITION".to_owned(), json!(accessor));
+            filled.insert(id);
         }
     }
     if !filled.is_empty() {
@@ -374,7 +360,7 @@ fn fill_positions(core: &mut Value) -> HashSet<(usize, usize)> {
     filled
 }
 
-/// Appends an item to a list of a document.
+/// Appends an item to a list of a document. Anything else in its place stays, for the crate to reject.
 fn append(core: &mut Value, key: &str, item: Value) {
     let list = core.as_object_mut().and_then(|core| core.entry(key).or_insert_with(|| json!([])).as_array_mut());
     if let Some(list) = list {
@@ -385,9 +371,8 @@ fn append(core: &mut Value, key: &str, item: Value) {
 /// Removes all animation channels that do not animate nodes; these belong to extensions (`KHR_animation_pointer`), or
 /// are to be ignored. The crate does not validate a channel's node and path.
 fn lift_channels(root: &mut Value) -> Result<(), Fault> {
-    let nodes = root.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
-    let animations = root.get_mut("animations").and_then(Value::as_array_mut).into_iter().flatten();
-    for (a, animation) in animations.enumerate() {
+    let nodes = items(root, "nodes").len();
+    for (a, animation) in items_mut(root, "animations").iter_mut().enumerate() {
         let Some(channels) = animation.get_mut("channels").and_then(Value::as_array_mut) else { continue };
         for (c, channel) in channels.iter().enumerate() {
             let at = || format!("/animations/{a}/channels/{c}/target");
@@ -413,15 +398,14 @@ fn lift_channels(root: &mut Value) -> Result<(), Fault> {
 fn is_core_channel(channel: &Value, nodes: usize) -> bool {
     let target = channel.get("target").unwrap_or(&Value::Null);
     let is_core = target.get("path").and_then(Value::as_str).is_some_and(|path| PATHS.contains(&path));
-    let node = target.get("node").and_then(Value::as_u64);
-    is_core && node.is_some_and(|node| node < nodes as u64)
+    is_core && index(target, "node").is_some_and(|node| node < nodes)
 }
 
 /// Gives accessors without data a buffer view that [`Asset::has_view`] does not count.
 fn fill_accessors(core: &mut Value) {
-    let view = core.get("bufferViews").and_then(Value::as_array).map_or(0, Vec::len);
+    let view = items(core, "bufferViews").len();
     let mut filled = false;
-    for accessor in core.get_mut("accessors").and_then(Value::as_array_mut).into_iter().flatten() {
+    for accessor in items_mut(core, "accessors") {
         if let Some(accessor) =
             accessor.as_object_mut().filter(|a| !a.contains_key("bufferView") && !a.contains_key("sparse"))
         {
@@ -437,16 +421,12 @@ fn fill_accessors(core: &mut Value) {
 
 /// Gives positions without bounds some, which the crate requires but which are not used.
 fn fill_bounds(core: &mut Value) {
-    let meshes = core.get("meshes").and_then(Value::as_array).into_iter().flatten();
-    let primitives = meshes.filter_map(|mesh| mesh.get("primitives")?.as_array()).flatten();
-    let positions = primitives.filter_map(|primitive| primitive.pointer("/attributes/POSITION")?.as_u64());
-    let positions: HashSet<u64> = positions.collect();
-    let accessors = core.get_mut("accessors").and_then(Value::as_array_mut).into_iter().flatten();
-    for (_, accessor) in (0..).zip(accessors).filter(|(i, _)| positions.contains(i)) {
+    let positions = primitives(core).filter_map(|(_, primitive)| index(primitive.get("attributes")?, "POSITION"));
+    let positions: HashSet<usize> = positions.collect();
+    for (_, accessor) in items_mut(core, "accessors").iter_mut().enumerate().filter(|(i, _)| positions.contains(i)) {
+        let Some(accessor) = accessor.as_object_mut() else { continue };
         for key in ["min", "max"] {
-            if accessor.get(key).is_none_or(Value::is_null)
-                && let Some(accessor) = accessor.as_object_mut()
-            {
+            if accessor.get(key).is_none_or(Value::is_null) {
                 accessor.insert(key.to_owned(), json!([0, 0, 0]));
             }
         }
@@ -460,9 +440,8 @@ pub(super) fn has_scenes(root: &Value) -> bool {
 
 /// Gives a document without scenes a scene of all nodes that have no parent.
 pub(super) fn give_scene(root: &mut Value) {
-    let nodes = root.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    let children = nodes.iter().filter_map(|node| node.get("children")?.as_array()).flatten();
-    let children: HashSet<u64> = children.filter_map(Value::as_u64).collect();
+    let nodes = items(root, "nodes");
+    let children: HashSet<u64> = nodes.iter().flat_map(|node| indices(node, "children")).collect();
     let tops: Vec<u64> = (0..nodes.len() as u64).filter(|node| !children.contains(node)).collect();
     if !has_scenes(root) && !tops.is_empty() {
         root["scenes"] = json!([{ "nodes": tops }]);
@@ -475,23 +454,22 @@ fn is_core(name: &str) -> bool {
 
 /// Loads or locates the content of every buffer, and removes the buffers' URIs from the JSON.
 fn load_buffers(root: &mut Value, bin: Option<Buffer>, folder: &Path) -> Result<(Vec<Buffer>, Places), Fault> {
-    let views = || root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
-    let has_compressed = views().any(|v| meshopt::of_view(v).is_some());
+    let views = items(root, "bufferViews");
+    let has_compressed = views.iter().any(|v| meshopt::of_view(v).is_some());
     // The uncompressed fallback of a compressed view is not needed, and often absent.
     let stored = |v: &Value| meshopt::of_view(v).map_or(v, |(_, compressed)| compressed).get("buffer")?.as_u64();
-    let needed: HashSet<u64> = views().filter_map(stored).collect();
-    let count = root.get("buffers").and_then(Value::as_array).map_or(0, Vec::len);
+    let needed: HashSet<u64> = views.iter().filter_map(stored).collect();
     let (mut buffers, mut bin, mut known, mut places) = (vec![], bin, HashMap::new(), Places::default());
-    for i in 0..count {
+    for (i, buffer) in items_mut(root, "buffers").iter_mut().enumerate() {
         let at = format!("/buffers/{i}");
-        let length = root["buffers"][i].get("byteLength").and_then(Value::as_u64);
+        let length = buffer.get("byteLength").and_then(Value::as_u64);
         let length = length.ok_or_else(|| Fault::pointer(format!("{at}/byteLength"), "a number of bytes", "none"))?;
         let chunk = bin.take().filter(|_| i == 0);
         if chunk.is_none() && has_compressed && !needed.contains(&(i as u64)) {
             buffers.push(vec![].into());
             continue;
         }
-        let uri = root["buffers"][i].as_object_mut().and_then(|buffer| buffer.remove("uri"));
+        let uri = remove(buffer, "uri");
         let data = match (uri.as_ref().and_then(Value::as_str), chunk) {
             (None, Some(bin)) if has_compressed => {
                 bin.into_bytes().map_err(|e| Fault::pointer(&at, format!("{length} bytes"), e.to_string()))?.into()

@@ -159,8 +159,7 @@ fn what_is_cut_out_of_the_one_layer_is_noted() {
 #[test]
 fn what_is_seen_of_a_skinned_mesh_does_not_turn_with_its_node() {
     let (mut b, mut attributes) = triangle();
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
-    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0]; 3]));
+    b.skinned(&mut attributes, [[0; 4]; 3], [[1.0, 0.0, 0.0, 0.0]; 3]);
     let coefficients =
         [0.1f32, 0.2, 0.3, 0.4].map(|v| json!({ "accessor": b.floats(&[[v, -v, 0.5]]), "width": 1, "height": 1 }));
     let harmonics = json!({ "degree": 1, "coefficients": coefficients });

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::extension::extension_of;
+use super::json::items;
 use crate::format::error::{Fault, from_value};
 
 /// Names of the extension; KHR adds a version of the attribute codec and the filter COLOR.
@@ -44,7 +45,7 @@ pub(in crate::format) fn decompress<'b>(
     root: &Value,
     buffer: impl Fn(usize) -> Option<&'b [u8]>,
 ) -> impl Iterator<Item = Result<(usize, Vec<u8>), Fault>> {
-    let views = root.get("bufferViews").and_then(Value::as_array).into_iter().flatten();
+    let views = items(root, "bufferViews").iter();
     let mut starts = HashMap::new();
     let sources = views.clone().filter_map(|view| of_view(view)?.1.get("buffer")?.as_u64());
     for bytes in sources.filter_map(|i| buffer(i as usize)) {

@@ -43,10 +43,12 @@ pub(super) mod instancing;
 #[cfg(test)]
 mod instancing_tests;
 mod integers;
+pub(super) mod json;
 mod lift;
 mod material;
 #[cfg(test)]
 mod material_tests;
+mod merge;
 mod meshes;
 pub(super) mod meshopt;
 mod motion;

@@ -136,9 +136,8 @@ fn what_moves_shares_its_maps() {
 #[test]
 fn weights_and_joints_move_a_skin() {
     let (mut b, mut attributes) = triangle();
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]));
-    let weights = [[1.0f32, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
-    attributes["WEIGHTS_0"] = json!(b.floats(&weights));
+    let weights = [[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]];
+    b.skinned(&mut attributes, [[0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]], weights);
     let (up, out) = (b.floats(&[[0.0f32, 0.0, 1.0]; 3]), b.floats(&[[0.0f32; 3], [0.0; 3], [1.0, 0.0, 0.0]]));
     let mut bind = Mat4::IDENTITY;
     bind.w_axis.x = -1.0;
@@ -178,8 +177,7 @@ fn weights_and_joints_move_a_skin() {
 #[test]
 fn joints_that_are_invisible_carry_what_is_not() {
     let (mut b, mut attributes) = triangle();
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
-    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4]]));
+    b.skinned(&mut attributes, [[0; 4]; 3], [[1.0, 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4]]);
     let up = b.floats(&[[0.0f32, 0.0, 1.0], [0.0, 0.0, 3.0]]);
     let clip = animation(&mut b, &[(1, "translation", &[0.0, 1.0], up, "LINEAR")]);
     let mut document = json!({
@@ -348,8 +346,7 @@ fn bones_are_of_what_moves_and_have_the_names_of_nodes() {
 #[test]
 fn joints_end_where_the_scene_ends() {
     let (mut b, mut attributes) = triangle();
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]));
-    attributes["WEIGHTS_0"] = json!(b.floats(&[[0.5f32, 0.5, 0.0, 0.0]; 3]));
+    b.skinned(&mut attributes, [[0, 1, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0]], [[0.5, 0.5, 0.0, 0.0]; 3]);
     let half = std::f32::consts::FRAC_1_SQRT_2;
     let turn = b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, half, half]]);
     let clip = animation(&mut b, &[(2, "rotation", &[0.0, 1.0], turn, "LINEAR")]);

@@ -5,6 +5,7 @@ use std::collections::{BTreeSet, HashSet};
 use serde_json::{Map, Value, json};
 
 use super::extension::{ANIMATION_POINTER, HYBRID, INSTANCING, KHR_SPLATS, VISIBILITY};
+use super::json::{items, items_mut, primitives_mut, retain};
 
 /// Properties of a node that only places something.
 const OWN: [&str; 5] = ["name", "rotation", "translation", "scale", "matrix"];
@@ -53,7 +54,7 @@ pub(super) fn remove_nodes(root: &mut Value, gone: &BTreeSet<u64>) {
     unlist(root, gone);
     let is_known = |name: &Value| name.as_str().is_some_and(|name| KNOWN.iter().any(|known| name.starts_with(*known)));
     if !items(root, "extensionsUsed").iter().all(is_known) {
-        for (_, node) in (0..).zip(items(root, "nodes")).filter(|(i, _)| gone.contains(i)) {
+        for (_, node) in (0..).zip(items_mut(root, "nodes")).filter(|(i, _)| gone.contains(i)) {
             *node = json!({});
         }
         return;
@@ -71,23 +72,23 @@ fn renumber(root: &mut Value, mut renumbered: impl FnMut(u64, bool) -> u64) {
         }
     };
     for (owners, key, needs) in [("scenes", "nodes", false), ("nodes", "children", false), ("skins", "joints", true)] {
-        for owner in items(root, owners) {
-            items(owner, key).iter_mut().for_each(|index| replace(index, needs));
+        for owner in items_mut(root, owners) {
+            items_mut(owner, key).iter_mut().for_each(|index| replace(index, needs));
         }
     }
-    for skin in items(root, "skins") {
+    for skin in items_mut(root, "skins") {
         if let Some(index) = skin.get_mut("skeleton") {
             replace(index, true);
         }
     }
     let bound_to = format!("/extensions/{KHR_SPLATS}/extensions/{HYBRID}/binding/node");
-    for primitive in items(root, "meshes").iter_mut().flat_map(|mesh| items(mesh, "primitives")) {
+    for (_, primitive) in primitives_mut(root) {
         if let Some(index) = primitive.pointer_mut(&bound_to) {
             replace(index, true);
         }
     }
     let animated = format!("/target/extensions/{ANIMATION_POINTER}/pointer");
-    for channel in channels(root) {
+    for channel in items_mut(root, "animations").iter_mut().flat_map(|animation| items_mut(animation, "channels")) {
         if let Some(index) = channel.pointer_mut("/target/node") {
             replace(index, false);
         }
@@ -105,26 +106,6 @@ fn renumber(root: &mut Value, mut renumbered: impl FnMut(u64, bool) -> u64) {
 pub(super) fn unlist(root: &mut Value, gone: &BTreeSet<u64>) {
     let is_gone = |index: &Value| index.as_u64().is_some_and(|i| gone.contains(&i));
     for (owners, key) in [("scenes", "nodes"), ("nodes", "children")] {
-        items(root, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
-    }
-}
-
-/// Channels of all animations.
-pub(super) fn channels(root: &mut Value) -> impl Iterator<Item = &mut Value> {
-    items(root, "animations").iter_mut().flat_map(|animation| items(animation, "channels"))
-}
-
-/// Array under `key`.
-pub(super) fn items<'a>(object: &'a mut Value, key: &str) -> &'a mut [Value] {
-    object.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
-}
-
-/// Keeps the wanted elements, by index and value, of the array under `key`; removes the array if it becomes empty.
-pub(super) fn retain(object: &mut Value, key: &str, is_wanted: impl Fn(usize, &Value) -> bool) {
-    let Some(array) = object.get_mut(key).and_then(Value::as_array_mut) else { return };
-    let (mut index, count) = (0.., array.len());
-    array.retain(|item| index.next().is_some_and(|i| is_wanted(i, item)));
-    if array.is_empty() && count > 0 {
-        object.as_object_mut().map(|object| object.remove(key));
+        items_mut(root, owners).iter_mut().for_each(|owner| retain(owner, key, |_, index| !is_gone(index)));
     }
 }

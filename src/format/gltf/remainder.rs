@@ -9,6 +9,7 @@ use super::extension::{
     ANIMATION_POINTER, DRAFT_ROTATION, DRAFT_SCALE, EMISSIVE_STRENGTH, EXTRAS, HYBRID, INSTANCING, KHR_SPLATS,
     MOVED_NODE, ROTATION, SCALE, SPECULAR_GLOSSINESS, SPZ, TEXTURE_TRANSFORM, UNLIT, WEBP, extension_of,
 };
+use super::json::{index, items, primitives, strings};
 use super::{instancing, meshopt};
 
 /// Part of a document that a scene does not hold.
@@ -53,18 +54,18 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
             found.push(Remnant { what: format!("{n} {what}{}", if n == 1 { "" } else { "s" }), role });
         }
     };
-    let list = |key: &str| root.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    let list = |key: &str| items(root, key);
+    let primitives = || primitives(root).map(|(_, primitive)| primitive);
     count(list("animations").len(), "animation", Role::Moves);
     count(list("skins").len(), "skin", Role::Follows);
     count(list("scenes").len().saturating_sub(1), "further scene", Role::Rests);
-    let primitives = || list("meshes").iter().flat_map(|m| items(m.get("primitives")));
-    count(primitives().map(|p| items(p.get("targets")).len()).max().unwrap_or(0), "morph target", Role::Follows);
+    count(primitives().map(|p| items(p, "targets").len()).max().unwrap_or(0), "morph target", Role::Follows);
     let is_orthographic = |c: &&Value| c.get("type").and_then(Value::as_str) == Some("orthographic");
     count(list("cameras").iter().filter(is_orthographic).count(), "orthographic camera", Role::Rests);
     let nodes = list("nodes");
     // Nodes inserted above a scene to transform it become part of its coordinates.
     let has_children =
-        |n: &&Value| !items(n.get("children")).is_empty() && n.get("name").and_then(Value::as_str) != Some(MOVED_NODE);
+        |n: &&Value| !items(n, "children").is_empty() && n.get("name").and_then(Value::as_str) != Some(MOVED_NODE);
     if nodes.iter().filter(has_children).count() > usize::from(is_ours) {
         found.push(Remnant::still(format!("the tree of {} nodes", nodes.len())));
     }
@@ -75,7 +76,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant { what: "deformation fields".to_owned(), role: Role::Unplayed });
     }
     let materials = list("materials");
-    let material_of = |p: &Value| materials.get(p.get("material")?.as_u64()? as usize);
+    let material_of = |p: &Value| materials.get(index(p, "material")?);
     let others: BTreeSet<&str> = primitives().flat_map(|p| other_attributes(p, &Shown::of(material_of(p)))).collect();
     if !others.is_empty() {
         let names: Vec<&str> = others.into_iter().collect();
@@ -86,7 +87,7 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
     }
     let is_in_part = instancing::is_in_part(root);
     let is_taken_over = |name: &str| is_taken_over(name) || name == INSTANCING && !is_in_part;
-    for name in list("extensionsUsed").iter().filter_map(Value::as_str).filter(|name| !is_taken_over(name)) {
+    for name in strings(root, "extensionsUsed").filter(|name| !is_taken_over(name)) {
         let role = if name == ANIMATION_POINTER { Role::Unplayed } else { Role::Rests };
         found.push(Remnant { what: format!("the extension {name}"), role });
     }
@@ -95,10 +96,6 @@ pub(super) fn remainder(root: &Value, is_ours: bool) -> Vec<Remnant> {
         found.push(Remnant::still("extras".to_owned()));
     }
     found
-}
-
-fn items(value: Option<&Value>) -> &[Value] {
-    value.and_then(Value::as_array).map_or(&[], Vec::as_slice)
 }
 
 fn khr_extension(primitive: &Value, name: &str) -> bool {
@@ -167,9 +164,9 @@ fn base_of(material: &Value) -> (Option<&Value>, Option<&Value>) {
 fn is_shown_by_emission(material: &Value) -> bool {
     let is_positive = |value: &Value| value.as_f64().is_some_and(|value| value > 0.0);
     let strength = extension_of(material, EMISSIVE_STRENGTH).and_then(|own| own.get("emissiveStrength"));
-    let emits = items(material.get("emissiveFactor")).iter().any(is_positive) && strength.is_none_or(is_positive);
+    let emits = items(material, "emissiveFactor").iter().any(is_positive) && strength.is_none_or(is_positive);
     let (color, picture) = base_of(material);
-    let color = items(color);
+    let color = color.and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let is_black = color.len() > 3 && !color[..3].iter().any(is_positive);
     let is_only_picture = material.get("emissiveTexture").is_some() && picture.is_none();
     emits && (is_black || is_only_picture) && extension_of(material, UNLIT).is_none()

@@ -7,7 +7,8 @@ use serde_json::{Value, json};
 
 use super::container::Bin;
 use super::extension::EXTRAS;
-use super::nodes::{is_bare, items, needed, retain, unlist};
+use super::json::{index, items, items_mut, push, retain};
+use super::nodes::{is_bare, needed, unlist};
 use super::write::{FLOAT, camera_and_node, node_rotation};
 use crate::format::cameras::{CameraFile, DEFAULT_FPS, NAME};
 use crate::scene::Camera;
@@ -34,9 +35,9 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
     let Some((_, first)) = shown.cameras.first() else { return };
     let mut vacant = take_out(document).into_iter();
     let mut add = |document: &mut Value, name: &str, i: usize| {
-        let index = document.get("cameras").and_then(Value::as_array).map_or(0, Vec::len);
-        let (optics, _) = camera_and_node(name, &shown.cameras[i].1, near, index);
-        let (_, mut node) = camera_and_node(name, &placed[i].1, near, index);
+        let camera = items(document, "cameras").len();
+        let (optics, _) = camera_and_node(name, &shown.cameras[i].1, near, camera);
+        let (_, mut node) = camera_and_node(name, &placed[i].1, near, camera);
         node["extras"] = json!({ EXTRAS: { MARK: true } });
         push(document, "cameras", optics);
         let at = match vacant.next() {
@@ -47,7 +48,7 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
             }
             None => push(document, "nodes", node),
         };
-        let scene = document.get("scene").and_then(Value::as_u64).unwrap_or(0) as usize;
+        let scene = index(document, "scene").unwrap_or(0);
         match document.get_mut("scenes").and_then(|scenes| scenes.get_mut(scene)) {
             Some(scene) => push(scene, "nodes", json!(at)),
             None => push(document, "scenes", json!({ "nodes": [at] })),
@@ -65,7 +66,7 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
         }
     }
     if bin.len() > 0 {
-        if document.get("buffers").and_then(Value::as_array).is_none_or(Vec::is_empty) {
+        if items(document, "buffers").is_empty() {
             document["buffers"] = json!([{}]);
         }
         document["buffers"][0]["byteLength"] = json!(bin.len());
@@ -77,10 +78,10 @@ pub(super) fn append(document: &mut Value, bin: &mut Bin<'_>, shown: &CameraFile
 /// in their rest pose.
 pub(super) fn take_out(document: &mut Value) -> BTreeSet<u64> {
     let of_ours = |object: &Value, key: &str| object.pointer(&format!("/extras/{EXTRAS}/{key}")).is_some();
-    let camera_of = |node: &Value| node.get("camera").and_then(Value::as_u64);
+    let camera_of = |node: &Value| index(node, "camera");
     let needed = needed(document);
     let (mut nodes, mut cameras, mut still) = (BTreeSet::new(), vec![], HashSet::new());
-    for (i, node) in (0..).zip(items(document, "nodes")) {
+    for (i, node) in (0..).zip(items_mut(document, "nodes")) {
         if of_ours(node, MARK) {
             cameras.extend(camera_of(node));
             still.insert(i);
@@ -100,18 +101,18 @@ pub(super) fn take_out(document: &mut Value) -> BTreeSet<u64> {
     }
     unlist(document, &nodes);
     // Cameras that another program uses in other nodes are kept.
-    let used: HashSet<u64> = items(document, "nodes").iter().filter_map(camera_of).collect();
+    let used: HashSet<usize> = items(document, "nodes").iter().filter_map(camera_of).collect();
     cameras.retain(|camera| !used.contains(camera));
     cameras.sort_unstable();
     cameras.dedup();
-    retain(document, "cameras", |i, _| cameras.binary_search(&(i as u64)).is_err());
-    for node in items(document, "nodes") {
+    retain(document, "cameras", |i, _| cameras.binary_search(&i).is_err());
+    for node in items_mut(document, "nodes") {
         if let Some(camera) = camera_of(node) {
-            node["camera"] = json!(camera - cameras.partition_point(|gone| *gone < camera) as u64);
+            node["camera"] = json!(camera - cameras.partition_point(|gone| *gone < camera));
         }
     }
     // Animations that another program derived from the path have lost their target, and must not move the next path.
-    for animation in items(document, "animations") {
+    for animation in items_mut(document, "animations") {
         let is_still = |index: &Value| index.as_u64().is_some_and(|i| still.contains(&i));
         retain(animation, "channels", |_, channel| !channel.pointer("/target/node").is_some_and(is_still));
         // What another program has added to the path's animation is none of a path.
@@ -159,15 +160,4 @@ fn animation(
         channels.push(json!({ "sampler": i, "target": { "node": node, "path": path } }));
     }
     json!({ "name": NAME, "channels": channels, "samplers": samplers, "extras": { EXTRAS: { FPS: fps } } })
-}
-
-/// Appends to the array under `key`, created if missing; returns the index.
-fn push(object: &mut Value, key: &str, value: Value) -> usize {
-    let array = &mut object[key];
-    if !array.is_array() {
-        *array = json!([]);
-    }
-    let array = array.as_array_mut().expect("it has just been made one");
-    array.push(value);
-    array.len() - 1
 }

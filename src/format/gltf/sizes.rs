@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::buffer::Buffer;
 use super::extension::{HYBRID, INSTANCING, KHR_SPLATS, Radiance, SPZ, Surface, extension_of};
+use super::json::items;
 use super::lift::Asset;
 use super::{meshopt, uri};
 
@@ -85,8 +86,7 @@ struct Images {
 
 impl Images {
     fn of(asset: &Asset) -> Self {
-        let listed = || asset.root.get("images").and_then(Value::as_array).into_iter().flatten();
-        let uris = || listed().filter_map(|image| image.get("uri")?.as_str());
+        let uris = || items(&asset.root, "images").iter().filter_map(|image| image.get("uri")?.as_str());
         let mut images = Self { beside: uri::bytes_of_files(uris(), &asset.folder), ..Self::default() };
         for uri in uris().filter(|uri| uri.starts_with("data:")) {
             images.uris += uri.len() as u64;

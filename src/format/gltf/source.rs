@@ -1,30 +1,29 @@
 //! The glTF document behind a scene, kept to be written again.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DMat4, Vec2};
 use rayon::prelude::*;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
-use super::buffer::Buffer;
 use super::container::Bin;
 use super::extension::{
     ANIMATION_POINTER, EXTRAS, HYBRID, KHR_SPLATS, MOVED_NODE, SceneContract, animated_property, extension_of,
 };
-use super::image::media_type;
+use super::json::{channels, enlist, index, indices, items, items_mut, object_at, push, remove, retain};
 use super::lift::{Asset, give_scene};
+use super::merge::Content;
 use super::motion::Clip;
 use super::moving::Moving;
-use super::nodes::{channels, is_bare, items, needed, remove_nodes, retain};
+use super::nodes::{is_bare, needed, remove_nodes};
 use super::remainder::{Remnant, Role, has_extras, remainder};
 use super::shot::take_out;
 use super::transform::is_ours;
-use super::{meshopt, uri};
 use crate::format::cameras::{CameraFile, Sampling};
-use crate::format::error::{FormatError, one_line};
+use crate::format::error::FormatError;
 use crate::format::placed::similarity;
 use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TURN};
 
@@ -45,7 +44,7 @@ use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TUR
 /// Equality with the scene as read is tested by fingerprints of its arrays.
 #[derive(Clone, Debug)]
 pub struct Source {
-    /// JSON document without the `uri`s of buffers and of the images in `Content::images`.
+    /// JSON document without the `uri`s of buffers.
     root: Value,
     content: Option<Content>,
     remainder: Vec<Remnant>,
@@ -57,16 +56,6 @@ pub struct Source {
     splats_and_meshes: u64,
     cameras: u64,
     moving: Arc<Moving>,
-}
-
-/// Binary data referenced by a document.
-#[derive(Clone, Debug)]
-struct Content {
-    buffers: Vec<Buffer>,
-    /// Images outside buffers, by index; images with the same file share the data.
-    images: BTreeMap<usize, Arc<Vec<u8>>>,
-    /// `uri`s of images that were not found.
-    unfound: Vec<String>,
 }
 
 impl Source {
@@ -83,23 +72,7 @@ impl Source {
         let Asset { mut root, buffers, folder, .. } = asset;
         // The document may later get a transform node and a composition, which need a scene object.
         give_scene(&mut root);
-        let content = keep.then(|| {
-            let (listed, mut loaded) = (root.get("images").and_then(Value::as_array), uri::Loaded::default());
-            // Images that cannot be found stay references.
-            let (mut images, mut unfound) = (BTreeMap::new(), vec![]);
-            let listed = listed.into_iter().flatten().enumerate();
-            for (i, uri) in listed.filter_map(|(i, image)| Some((i, image.get("uri")?.as_str()?))) {
-                match loaded.resolve(uri, &folder) {
-                    Ok(bytes) => {
-                        images.insert(i, bytes);
-                    }
-                    Err(_) => unfound.push(one_line(uri).into_owned()),
-                }
-            }
-            unfound.sort_unstable();
-            unfound.dedup();
-            Content { images, unfound, buffers }
-        });
+        let content = keep.then(|| Content::new(&root, buffers, &folder));
         Self {
             root,
             content,
@@ -202,9 +175,7 @@ impl Source {
 
     /// What the document loses with its cameras, in a sentence, where these are left out of it.
     pub(in crate::format) fn lost_with_cameras(&self, cameras: &[(String, Camera)]) -> Option<String> {
-        let animations = self.root.get("animations").and_then(Value::as_array).into_iter().flatten();
-        let channels = animations.filter_map(|animation| animation.get("channels")?.as_array()).flatten();
-        let lost = channels.filter(|channel| animates_camera(channel)).count();
+        let lost = channels(&self.root).filter(|channel| animates_camera(channel)).count();
         (lost > 0 && self.drops_cameras(cameras)).then(|| {
             let channels = if lost == 1 { "1 channel".to_owned() } else { format!("{lost} channels") };
             format!("/animations: {channels} of {ANIMATION_POINTER} left out with the cameras animated by it")
@@ -230,8 +201,9 @@ impl Source {
 
     /// Parts of [`Source::remainder`] that concern animation, if the document has animations.
     pub(in crate::format) fn motion(&self) -> Vec<String> {
-        let count = self.root.get("animations").and_then(Value::as_array).map_or(0, Vec::len);
-        self.remainder.iter().filter(|part| count > 0 && part.role != Role::Rests).map(ToString::to_string).collect()
+        let is_animated = !items(&self.root, "animations").is_empty();
+        let parts = self.remainder.iter().filter(|part| is_animated && part.role != Role::Rests);
+        parts.map(ToString::to_string).collect()
     }
 
     /// Records that the scene read from this document has been transformed by `by` (for column vectors) into `scene`
@@ -262,7 +234,7 @@ impl Source {
 
     /// Index of the scene that is read.
     fn scene(&self) -> usize {
-        self.root.get("scene").and_then(Value::as_u64).map_or(0, |i| i as usize)
+        index(&self.root, "scene").unwrap_or(0)
     }
 
     fn contract(&self) -> Option<&Value> {
@@ -272,9 +244,6 @@ impl Source {
     /// Whether a composition may be set: requires splats of its colour space, and no mesh with both splats and
     /// triangles.
     fn takes_contract(&self) -> bool {
-        fn items<'a>(object: &'a Value, key: &str) -> &'a [Value] {
-            object.get(key).and_then(Value::as_array).map_or(&[], Vec::as_slice)
-        }
         let space = self.composition.color_space.name();
         let is_other = |khr: &Value| khr.get("colorSpace").and_then(Value::as_str).is_some_and(|own| own != space);
         let is_apart = |mesh: &Value| {
@@ -312,8 +281,8 @@ impl Source {
         let above = if self.is_ours { HALF_TURN * self.moved * HALF_TURN } else { HALF_TURN * self.moved };
         let Some(s) = similarity(above).filter(|_| !above.abs_diff_eq(DMat4::IDENTITY, 1e-12)) else { return };
         let current = self.scene();
-        let scenes = root.get("scenes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-        let lists: Vec<Vec<u64>> = scenes.iter().map(roots_of).collect();
+        let lists: Vec<Vec<u64>> =
+            items(root, "scenes").iter().map(|scene| indices(scene, "nodes").collect()).collect();
         let Some(roots) = lists.get(current).filter(|roots| !roots.is_empty()) else { return };
         let own: HashSet<u64> = roots.iter().copied().collect();
         let others = || lists.iter().enumerate().filter(|(i, _)| *i != current);
@@ -347,12 +316,10 @@ impl Source {
         let object = object_at(object_at(scene, "extensions"), HYBRID);
         // Absent means infinite λ and the default footprint.
         for key in ["lambda", "footprint"] {
-            object.as_object_mut().map(|o| o.remove(key));
+            remove(object, key);
         }
         merge(object, &new);
-        if !lists(root, "extensionsUsed", HYBRID) {
-            push(root, "extensionsUsed", json!(HYBRID));
-        }
+        enlist(root, "extensionsUsed", HYBRID);
     }
 
     /// What concerns the file as a whole goes on even where the scene is written anew: copyright and extras of the
@@ -378,140 +345,23 @@ impl Source {
     }
 }
 
-impl Content {
-    /// Merges all buffers into one, including images outside buffers. Buffers that are never stored, placeholders of
-    /// compressed views, follow.
-    fn merge(&self, root: &mut Value) -> Bin<'_> {
-        let mut bin = Bin::default();
-        let old = root.get("buffers").and_then(Value::as_array).cloned().unwrap_or_default();
-        let lengths = old.iter().map(|b| b.get("byteLength").and_then(Value::as_u64).unwrap_or(0) as usize);
-        // Old buffer index → new index and offset.
-        let (mut places, mut placeholders) = (vec![], vec![]);
-        // Content shared by several buffers is copied once.
-        let mut copies = HashMap::new();
-        let has_bin = self.buffers.iter().any(|b| !b.is_empty()) || !self.images.is_empty();
-        for ((buffer, content), length) in old.iter().zip(&self.buffers).zip(lengths) {
-            if content.is_empty() {
-                places.push((usize::from(has_bin) + placeholders.len(), 0));
-                placeholders.push(buffer.clone());
-            } else {
-                let length = length.min(content.len());
-                let copy = copies.entry((content.place(), length)).or_insert_with(|| bin.push_copy(content, length));
-                places.push((0, *copy));
-            }
-        }
-        for view in root.get_mut("bufferViews").and_then(Value::as_array_mut).into_iter().flatten() {
-            move_view(view, &places);
-            for name in meshopt::NAMES {
-                if let Some(compressed) = view.get_mut("extensions").and_then(|e| e.get_mut(name)) {
-                    move_view(compressed, &places);
-                }
-            }
-        }
-        let mut views = HashMap::new();
-        for (&i, content) in &self.images {
-            let index = *views.entry(Arc::as_ptr(content)).or_insert_with(|| {
-                let start = bin.push(content.as_slice());
-                push(root, "bufferViews", json!({ "buffer": 0, "byteOffset": start, "byteLength": content.len() }))
-            });
-            let image = &mut root["images"][i];
-            let uri = image.as_object_mut().and_then(|o| o.remove("uri"));
-            image["bufferView"] = json!(index);
-            if let Some(found) = media_type(content) {
-                image["mimeType"] = json!(found);
-            } else if image.get("mimeType").is_none() {
-                image["mimeType"] = json!("image/png");
-            }
-            if let Some(Value::String(uri)) = uri.filter(|_| image.get("name").is_none())
-                && !uri.starts_with("data:")
-            {
-                image["name"] = json!(uri);
-            }
-        }
-        let first =
-            old.iter().zip(&self.buffers).find(|(_, content)| !content.is_empty()).map(|(buffer, _)| buffer.clone());
-        let mut buffers = vec![];
-        if has_bin {
-            let mut whole = first.unwrap_or_else(|| json!({}));
-            whole["byteLength"] = json!(bin.len());
-            buffers.push(whole);
-        }
-        // An uncompressed fallback of compressed views in a file of its own is dropped; the compression extension then
-        // becomes required.
-        for placeholder in placeholders.iter_mut().filter(|buffer| buffer.get("uri").is_some()) {
-            placeholder.as_object_mut().map(|buffer| buffer.remove("uri"));
-            for name in meshopt::NAMES {
-                if lists(root, "extensionsUsed", name) {
-                    require(root, name);
-                    // Only a buffer marked as fallback may lack a file.
-                    object_at(object_at(placeholder, "extensions"), name)["fallback"] = json!(true);
-                }
-            }
-        }
-        buffers.append(&mut placeholders);
-        if !buffers.is_empty() {
-            root["buffers"] = Value::Array(buffers);
-        }
-        bin
-    }
-}
-
-/// Whether the list `key` of the document contains `name`.
-fn lists(root: &Value, key: &str, name: &str) -> bool {
-    root.get(key).and_then(Value::as_array).is_some_and(|list| list.iter().any(|n| n == name))
-}
-
-/// Marks a used extension as required.
-fn require(root: &mut Value, name: &str) {
-    if lists(root, "extensionsUsed", name) && !lists(root, "extensionsRequired", name) {
-        push(root, "extensionsRequired", json!(name));
-    }
-}
-
-/// Root nodes of a scene.
-fn roots_of(scene: &Value) -> Vec<u64> {
-    scene.get("nodes").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_u64).collect()
-}
-
-/// Appends to an array of the document, created if missing; returns the index.
-fn push(root: &mut Value, key: &str, value: Value) -> usize {
-    if !root.get(key).is_some_and(Value::is_array) {
-        root[key] = json!([]);
-    }
-    let Some(list) = root[key].as_array_mut() else { return 0 };
-    list.push(value);
-    list.len() - 1
-}
-
-/// Redirects a buffer view, or its compressed form, to the merged buffer.
-fn move_view(view: &mut Value, places: &[(usize, usize)]) {
-    let place = view.get("buffer").and_then(Value::as_u64).and_then(|b| places.get(b as usize));
-    let Some(&(buffer, start)) = place else { return };
-    let offset = view.get("byteOffset").and_then(Value::as_u64).unwrap_or(0);
-    view["buffer"] = json!(buffer);
-    if start > 0 {
-        // Saturating, because unreferenced views have not been validated.
-        view["byteOffset"] = json!((start as u64).saturating_add(offset));
-    }
-}
-
 /// Removes all cameras and paths of ours, nodes that only placed a camera, channels of animations that animate either,
 /// and animations that are left with none.
 pub(super) fn remove_cameras(root: &mut Value) {
-    let has_pointers = |root: &mut Value| channels(root).any(|channel| animated_property(channel).is_some());
+    let has_pointers = |root: &Value| channels(root).any(|channel| animated_property(channel).is_some());
     let had_pointers = has_pointers(root);
     let mut idle = take_out(root);
-    for (i, node) in (0..).zip(items(root, "nodes")) {
+    for (i, node) in (0..).zip(items_mut(root, "nodes")) {
         let Some(node) = node.as_object_mut() else { continue };
         if node.remove("camera").is_some() && is_bare(node) {
             idle.insert(i);
         }
     }
-    root.as_object_mut().map(|root| root.remove("cameras"));
+    remove(root, "cameras");
     let needed = needed(root);
     idle.retain(|node| !needed.contains(node));
     let is_idle = |node: &Value| node.as_u64().is_some_and(|node| idle.contains(&node));
-    for animation in items(root, "animations") {
+    for animation in items_mut(root, "animations") {
         retain(animation, "channels", |_, channel| {
             !animates_camera(channel) && !channel.pointer("/target/node").is_some_and(is_idle)
         });
@@ -528,14 +378,6 @@ pub(super) fn remove_cameras(root: &mut Value) {
 /// Whether an animation channel animates a camera.
 fn animates_camera(channel: &Value) -> bool {
     animated_property(channel).is_some_and(|pointer| pointer.starts_with("/cameras/"))
-}
-
-/// Object under `key`, created if missing.
-fn object_at<'a>(parent: &'a mut Value, key: &str) -> &'a mut Value {
-    if !parent.get(key).is_some_and(Value::is_object) {
-        parent[key] = Value::Object(Map::new());
-    }
-    &mut parent[key]
 }
 
 /// Copies the members of `new` into `object`.

@@ -25,8 +25,7 @@ pub(super) fn rich() -> (Builder, Value) {
     let (mut b, mut attributes) = triangle();
     attributes["NORMAL"] = json!(b.floats(&[[0.0f32, 0.0, 1.0]; 3]));
     attributes["_TEMPERATURE"] = json!(b.floats(&[[1.5f32], [2.5], [3.5]]));
-    attributes["JOINTS_0"] = json!(b.accessor(5121, "VEC4", 3, &[0; 12]));
-    attributes["WEIGHTS_0"] = json!(b.floats(&[[1.0f32, 0.0, 0.0, 0.0]; 3]));
+    b.skinned(&mut attributes, [[0; 4]; 3], [[1.0, 0.0, 0.0, 0.0]; 3]);
     let delta = b.floats(&[[0.0f32, 0.0, 0.5]; 3]);
     let (times, turns) = (b.floats(&[[0.0f32], [1.0]]), b.floats(&[[0.0f32, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]));
     let extra = |name: &str| json!({ "of": name });

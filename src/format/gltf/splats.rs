@@ -189,18 +189,7 @@ fn attributes(
         interleaved.iter_mut().skip(c).step_by(k).zip(coefficients).for_each(|(slot, value)| *slot = value);
     }
 
-    let mut clamped = 0usize;
-    let mut clamp = |(value, was_clamped): (f32, bool)| {
-        clamped += usize::from(was_clamped);
-        value
-    };
-    let opacity_logits = opacities.iter().map(|&o| clamp(activation::logit(o))).collect();
-    let log_scales = scales.iter().map(|s| Vec3::from(s.map(|v| clamp(activation::log_scale(v))))).collect();
-    if clamped > 0 {
-        notes.push(format!(
-            "{at}: {clamped} opacities not between 0 and 1 or scales not above 0 are clamped, so that their logit or logarithm is finite"
-        ));
-    }
+    let (opacity_logits, log_scales) = activation::parameters(opacities, scales, at, notes);
     let rotations = rotations.into_iter().map(Quat::from_array).collect();
     Ok(SplatArrays { means, rotations, log_scales, opacity_logits, sh_degree: degree, sh: interleaved })
 }

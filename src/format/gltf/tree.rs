@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use super::extension::{KHR_SPLATS, SPZ, extension_of};
 use super::instancing::{Single, copies};
+use super::json::items;
 use super::lift::Asset;
 use super::motion::{Clip, Motion};
 use super::remainder::remainder;
@@ -131,8 +132,7 @@ pub(in crate::format) fn document(asset: &Asset) -> Result<Document, Fault> {
         "bufferViews",
         "buffers",
     ];
-    let length = |kind: &str| asset.root.get(kind).and_then(Value::as_array).map_or(0, Vec::len);
-    let counts = kinds.into_iter().map(|kind| (kind, length(kind))).filter(|(_, n)| *n > 0).collect();
+    let counts = kinds.into_iter().map(|kind| (kind, items(&asset.root, kind).len())).filter(|(_, n)| *n > 0).collect();
     let generator = asset.root.pointer("/asset/generator").and_then(Value::as_str).map(str::to_owned);
     let animations = Motion::read(asset, |_| true).clips().to_vec();
     let remainder = remainder(&asset.root, is_ours).into_iter().map(|part| part.what).collect();

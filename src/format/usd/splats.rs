@@ -71,18 +71,8 @@ pub(super) fn read(stage: &Stage<'_>, prim: usize, notes: &mut Vec<String>) -> R
     }
     harmonics.truncate(n * sh::coefficients(degree));
 
-    let mut clamped = 0usize;
-    let mut clamp = |(value, was_clamped): (f32, bool)| {
-        clamped += usize::from(was_clamped);
-        value
-    };
-    let opacity_logits = opacities.iter().take(n).map(|&[o]| clamp(activation::logit(o))).collect();
-    let log_scales = scales.iter().take(n).map(|s| Vec3::from(s.map(|v| clamp(activation::log_scale(v))))).collect();
-    if clamped > 0 {
-        notes.push(format!(
-            "{at}: {clamped} opacities not between 0 and 1 or scales not above 0 are clamped, so that their logit or logarithm is finite"
-        ));
-    }
+    let opacities = opacities.into_iter().take(n).map(|[o]| o);
+    let (opacity_logits, log_scales) = activation::parameters(opacities, scales.into_iter().take(n), &at, notes);
     Ok(SplatArrays {
         means: means.into_iter().map(Vec3::from).collect(),
         rotations: rotations.into_iter().take(n).map(|[w, x, y, z]| Quat::from_xyzw(x, y, z, w)).collect(),

@@ -10,6 +10,7 @@ use super::super::Findings;
 use super::index;
 use crate::format::error::{Fault, Location};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, extension_of};
+use crate::format::gltf::json::lists;
 use crate::format::gltf::{Loaded, meshopt::decompress};
 
 /// Number of elements that an accessor may have without a proportional number of stored bytes.
@@ -282,8 +283,7 @@ impl<'a> Document<'a> {
 
     /// Whether `name` is listed in `extensionsUsed`.
     pub(super) fn uses(&self, name: &str) -> bool {
-        let used = self.root.get("extensionsUsed").and_then(Value::as_array);
-        used.is_some_and(|used| used.iter().any(|n| n == name))
+        lists(self.root, "extensionsUsed", name)
     }
 
     /// Object in one of the root's arrays.

@@ -6,13 +6,13 @@ use serde_json::Value;
 
 use super::super::Findings;
 use super::schema::escaped;
-use crate::format::gltf::expected_for;
+use crate::format::gltf::{expected_for, json::strings};
 
 /// Extensions that relax rules without an object of their own.
 const WITHOUT_OBJECT: [&str; 1] = ["KHR_mesh_quantization"];
 
 pub(super) fn check(root: &Value, findings: &mut Findings) {
-    let (used, required) = (strings(root, "extensionsUsed"), strings(root, "extensionsRequired"));
+    let [used, required] = ["extensionsUsed", "extensionsRequired"].map(|key| strings(root, key).collect::<Vec<_>>());
     let mut present = BTreeMap::new();
     walk(root, &mut String::new(), &mut present);
     for (name, at) in &present {
@@ -36,7 +36,7 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
 
 /// Reports required extensions that Centaur does not support.
 pub(super) fn check_support(root: &Value, findings: &mut Findings) {
-    for (i, name) in strings(root, "extensionsRequired").iter().enumerate() {
+    for (i, name) in strings(root, "extensionsRequired").enumerate() {
         if let Some(expected) = expected_for(name) {
             findings.warning(
                 "EXTENSION_UNSUPPORTED",
@@ -46,10 +46,6 @@ pub(super) fn check_support(root: &Value, findings: &mut Findings) {
             );
         }
     }
-}
-
-fn strings<'a>(root: &'a Value, key: &str) -> Vec<&'a str> {
-    root.get(key).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect()
 }
 
 /// Collects every extension's name with the place of its first object. Content of `extras` is unconstrained.

@@ -25,6 +25,7 @@ use self::document::Document;
 use super::Findings;
 use crate::format::error::shown;
 use crate::format::gltf::extension::{HYBRID, extension_of};
+use crate::format::gltf::json::{index, items};
 
 /// Checks a `.glb` or `.gltf`; `folder` may contain its buffers and images.
 pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
@@ -57,13 +58,7 @@ pub(super) fn unknown_properties(root: &Value) -> Vec<String> {
 /// Objects of the array `key`, each with its JSON pointer.
 fn objects<'a>(parent: &'a Value, key: &str, at: &str) -> impl Iterator<Item = (String, &'a Value)> {
     let prefix = format!("{at}/{key}");
-    let items = parent.get(key).and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    items.iter().enumerate().map(move |(i, item)| (format!("{prefix}/{i}"), item))
-}
-
-/// Non-negative integer property.
-fn index(object: &Value, key: &str) -> Option<usize> {
-    object.get(key).and_then(Value::as_u64).and_then(|i| usize::try_from(i).ok())
+    items(parent, key).iter().enumerate().map(move |(i, item)| (format!("{prefix}/{i}"), item))
 }
 
 /// All primitives of all meshes, each with its JSON pointer.

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::super::{Findings, Offenders};
 use super::accessors::check_bounds;
 use super::document::{Component, Document, Elements};
-use super::{index, objects, primitives};
+use super::{index, items, objects, primitives};
 
 /// Least sum of a vertex's weights that counts as non-zero.
 const LEAST_WEIGHT: f64 = 1e-6;
@@ -29,7 +29,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
 
 fn check_skins(document: &Document<'_>, findings: &mut Findings) {
     for (at, skin) in objects(document.root, "skins", "") {
-        let joints = skin.get("joints").and_then(Value::as_array).map_or(0, Vec::len);
+        let joints = items(skin, "joints").len();
         let matrices = index(skin, "inverseBindMatrices").and_then(|i| document.elements(i));
         if let Some(m) = matrices.filter(|m| m.count < joints || m.components != 16 || m.kind != Component::Float) {
             let expected = format!("MAT4 of Float, one for each of {joints} joints");
@@ -42,7 +42,7 @@ fn check_skins(document: &Document<'_>, findings: &mut Findings) {
 /// Checks the joints and weights of the mesh of a node with a skin.
 fn check_bound(document: &Document<'_>, (i, skin): (usize, usize), at: &str, findings: &mut Findings) {
     let (Some(mesh), Some(skin)) = (document.object("meshes", i), document.object("skins", skin)) else { return };
-    let joints = skin.get("joints").and_then(Value::as_array).map_or(0, Vec::len);
+    let joints = items(skin, "joints").len();
     for (place, primitive) in objects(mesh, "primitives", &format!("/meshes/{i}")) {
         let set = |name: &str, n: usize| {
             let accessor = primitive.get("attributes")?.get(format!("{name}_{n}"))?.as_u64()?;

@@ -82,7 +82,7 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
         });
     }
     for (at, animation) in super::objects(root, "animations", "") {
-        let samplers = animation.get("samplers").and_then(Value::as_array).map_or(0, Vec::len);
+        let samplers = super::items(animation, "samplers").len();
         for (at, channel) in super::objects(animation, "channels", &at) {
             if let Some(sampler) = super::index(channel, "sampler").filter(|&s| s >= samplers) {
                 let expected = format!("an index below {samplers}, the number of samplers of the animation");

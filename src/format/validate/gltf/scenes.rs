@@ -7,8 +7,9 @@ use serde_json::Value;
 use super::super::{Findings, Offenders};
 use super::accessors::check_bounds;
 use super::document::{Component, Document, Elements, components};
-use super::{extension, index, objects, primitives};
+use super::{extension, index, items, objects, primitives};
 use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
+use crate::format::gltf::json::indices;
 
 /// Largest deviation of a unit vector's or quaternion's norm from 1: 8-bit components are each off by up to half a step
 /// of 1/127.
@@ -102,8 +103,7 @@ fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut 
 
 /// Children of a node that are among `nodes` nodes.
 pub(super) fn children(node: &Value, nodes: usize) -> Vec<usize> {
-    let list = node.get("children").and_then(Value::as_array).into_iter().flatten();
-    list.filter_map(Value::as_u64).map(|i| i as usize).filter(|&i| i < nodes).collect()
+    indices(node, "children").map(|i| i as usize).filter(|&i| i < nodes).collect()
 }
 
 pub(super) fn numbers(value: Option<&Value>) -> Vec<f64> {
@@ -155,7 +155,7 @@ fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, finding
         }
         check_alignment(document, accessor, place, findings);
     }
-    let targets = primitive.get("targets").and_then(Value::as_array).into_iter().flatten().enumerate();
+    let targets = items(primitive, "targets").iter().enumerate();
     for (k, target) in targets.filter_map(|(k, target)| Some((k, target.as_object()?))) {
         for (name, accessor) in target.iter().filter_map(|(name, value)| Some((name, accessor(value)?))) {
             let place = || format!("{at}/targets/{k}/{}", super::schema::escaped(name));
@@ -191,7 +191,7 @@ fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -
 fn check_strides(document: &Document<'_>, findings: &mut Findings) {
     let mut inside: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for (_, primitive) in primitives(document.root) {
-        let targets = primitive.get("targets").and_then(Value::as_array).into_iter().flatten();
+        let targets = items(primitive, "targets").iter();
         let lists = targets.chain(primitive.get("attributes")).filter_map(Value::as_object);
         for accessor in lists.flatten().filter_map(|(_, accessor)| accessor.as_u64()).map(|i| i as usize) {
             let view = document.object("accessors", accessor).and_then(|accessor| index(accessor, "bufferView"));
