@@ -9,9 +9,9 @@ use centaur::geometry::{
     UnwrapStats, Viewers,
 };
 use centaur::optimize::{SurfaceOrigin, TrainOptions, point_views, surface_from_points, surface_from_splats};
-use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture};
+use centaur::scene::{Atlas, Composition, HybridScene, Mesh, Splats, Texture, bounds};
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use super::edits::positive;
 use super::output;
@@ -311,8 +311,7 @@ const SAME_PLACE: f64 = 1e-3;
 
 /// The surface against the truth, which is that of `file`, as far as a camera of the capture sees that.
 fn compare(surface: &Surface, file: &Path, truth: &Surface, args: &Args, capture: &Capture) -> Result<SurfaceDistance> {
-    let (low, high) =
-        truth.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+    let [low, high] = bounds(truth.positions.iter().copied()).unwrap_or_default();
     let (cameras, points) = (capture.cameras(), capture.positions());
     let ball = match args.truth_radius {
         Some(radius) => Ball { center: Contraction::around(&cameras, &points)?.center, radius },

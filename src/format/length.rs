@@ -27,6 +27,7 @@ mod tests {
     use super::*;
     use crate::format::test_scenes::random_scene;
     use crate::format::{WriteOptions, inspect, write_scene};
+    use crate::scene::PixelFilter;
 
     #[test]
     fn all_files_of_a_scene_count() {
@@ -39,7 +40,7 @@ mod tests {
         for name in ["a.glb", "a.gltf", "a.usda", "a.usdz", "sog/meta.json", "a.sog", "a.ply", "a.spz"] {
             let path = folder.path().join(name);
             let report = if name == "sog/meta.json" {
-                sog::write(&path, &scene.splats)
+                sog::write(&path, &scene.splats, PixelFilter::DILATION)
             } else {
                 write_scene(&path, &scene, &WriteOptions::default())
             };

@@ -97,11 +97,11 @@ pub fn read_file(path: &Path, options: &ReadOptions<'_>) -> Result<SceneFile, Fo
     let read_splats: ReadSplats = match format {
         Format::Glb | Format::Gltf => return read_gltf(path, options),
         Format::Usda | Format::Usdc | Format::Usdz => return usd::read(path).map(SceneFile::new),
-        Format::Ply | Format::CompressedPly => ply::read_with,
-        Format::Sog => sog::read_with,
-        Format::Spz => spz::read_with,
-        Format::Splat => splat::read_with,
-        Format::Ksplat => ksplat::read_with,
+        Format::Ply | Format::CompressedPly => ply::read,
+        Format::Sog => sog::read,
+        Format::Spz => spz::read,
+        Format::Splat => splat::read,
+        Format::Ksplat => ksplat::read,
         // Never detected.
         Format::Mitsuba | Format::BlendScript => return Err(Fault::whole("a scene", format.name()).in_file(path)),
     };

@@ -27,21 +27,13 @@ const BYTES: usize = 32;
 /// Number of splats encoded as one task.
 const ROWS: usize = 1 << 14;
 
-/// Reads splats. Opacities of 0 and 1 and scales of 0 become the nearest finite parameters.
+/// Reads splats, and counts those left out, see [`ReadOptions::drop_invalid`]; the file says no more than splats.
+/// Opacities of 0 and 1 and scales of 0 become the nearest finite parameters.
 ///
 /// # Errors
 /// If the file cannot be read, its length is not a multiple of 32, or it holds negative scales or values that
 /// [`Splats::new`] rejects.
-pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_with(path, &ReadOptions::default()).map(|file| file.splats)
-}
-
-/// Same as [`read`], with the number of splats left out, see [`ReadOptions::drop_invalid`]; the file says no more than
-/// splats.
-///
-/// # Errors
-/// Those of [`read`].
-pub fn read_with(path: &Path, options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
+pub fn read(path: &Path, options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     parse(open_file(path)?, options.drop_invalid).map_err(|fault| fault.in_file(path))
 }
 

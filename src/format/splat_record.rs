@@ -117,6 +117,12 @@ pub(super) fn quantize(x: f32, levels: u32) -> u32 {
     (f64::from(x.clamp(0.0, 1.0)) * f64::from(levels)).round() as u32
 }
 
+/// Index of the component of a unit quaternion that is largest in magnitude, the first of several. Formats that store
+/// the *smallest three* leave it out, as the others determine it up to its sign.
+pub(super) fn largest_component(q: [f32; 4]) -> usize {
+    (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best })
+}
+
 /// Opacity of a logit in 255 steps.
 pub(super) fn opacity_byte(logit: f32) -> u8 {
     quantize(activation::opacity(logit), 255) as u8

@@ -57,8 +57,8 @@ pub fn write_scene(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>)
         Format::BlendScript => return write_blend_script(path, scene, options),
         Format::Usdc => return Err(of_no_format(path)),
         Format::Ply => ply::write_with(path, splats, options.attributes, pixel_filter),
-        Format::CompressedPly => ply::compressed::write_with(path, splats, pixel_filter),
-        Format::Sog => sog::write_with(path, splats, pixel_filter),
+        Format::CompressedPly => ply::compressed::write(path, splats, pixel_filter),
+        Format::Sog => sog::write(path, splats, pixel_filter),
         Format::Spz => {
             let antialiased = pixel_filter.normalized;
             spz::write(path, splats, &spz::Options { antialiased, ..options.spz })

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::{Around, PathError, Shot, orbit};
-use crate::scene::{Camera, HybridScene, Intrinsics, Mesh, Splats};
+use crate::scene::{Camera, HybridScene, Intrinsics, Mesh, Splats, sigmoid};
 
 /// Width and height of the pictures.
 const SIZE: [u32; 2] = [1024, 768];
@@ -72,7 +72,7 @@ fn ball(scene: &HybridScene) -> Option<(DVec3, f64)> {
 /// trainings put some far behind what they show, as large as the background is in the pictures.
 fn box_of_splats(splats: &Splats) -> Option<(DVec3, DVec3)> {
     let some = || (0..splats.len()).step_by(splats.len().div_ceil(MOST).max(1));
-    let opacity = |i: usize| 1.0 / (1.0 + (-f64::from(splats.opacity_logits()[i])).exp());
+    let opacity = |i: usize| sigmoid(f64::from(splats.opacity_logits()[i]));
     let size = |i: usize| f64::from(splats.log_scales()[i].max_element()).exp();
     let mut sizes: Vec<(f64, f64)> = some().map(|i| (size(i), opacity(i))).collect();
     let usual = quantile(&mut sizes, 0.5)?;

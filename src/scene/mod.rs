@@ -4,6 +4,7 @@
 //! OpenCV's (x right, y down, z forward); **depth always means camera-space z**, for splats and meshes alike.
 //! Colours are display-referred (sRGB-encoded) unless [`Composition::color_space`] says otherwise.
 
+mod bounds;
 mod camera;
 mod centers;
 pub mod color;
@@ -23,6 +24,7 @@ pub(crate) mod testing;
 
 use rayon::prelude::*;
 
+pub use bounds::bounds;
 pub use camera::{Camera, Intrinsics};
 pub(crate) use camera::{nearest_rotation, view_axes};
 pub use centers::center_and_spread;

@@ -1,17 +1,14 @@
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Splats;
+use super::{Splats, bounds};
 
 /// All indices in the order of a Morton curve through the bounding cube of the means, 2²¹ cells a side: neighbours in
 /// space become neighbours in memory, which compresses and renders better. Splats of one cell keep their order.
 #[must_use]
 pub fn in_morton_order(splats: &Splats) -> Vec<usize> {
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for p in splats.means() {
-        low = low.min(p.as_dvec3());
-        high = high.max(p.as_dvec3());
-    }
+    let corners = bounds(splats.means().iter().copied()).unwrap_or_default();
+    let [low, high] = corners.map(Vec3::as_dvec3);
     let cells = f64::from(1 << 21) / (high - low).max_element().max(f64::MIN_POSITIVE);
     let code = |p: Vec3| {
         // A float-to-integer cast saturates.

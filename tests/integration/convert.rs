@@ -246,7 +246,7 @@ fn filters_apply_in_one_order_whatever_the_order_of_options() {
     convert(folder.path(), &format!("{} a.ply c.ply", reversed.join(" ")));
     let [b, c] = ["b.ply", "c.ply"].map(|name| std::fs::read(folder.path().join(name)).unwrap());
     assert_eq!(b, c);
-    let kept = ply::read(&folder.path().join("b.ply")).unwrap();
+    let kept = read(&folder.path().join("b.ply")).scene.splats;
     assert!(kept.opacity_logits().iter().all(|&l| l >= (0.3_f32 / 0.7).ln()));
     assert_eq!(in_morton_order(&kept), (0..kept.len()).collect::<Vec<_>>());
 }
@@ -347,7 +347,7 @@ fn attributes_follow_their_splats_as_far_as_ply_goes() {
     let folder = tempfile::tempdir().unwrap();
     write_labelled(&folder.path().join("a.ply"), 9, &[]);
     let labels = |name: &str| {
-        let file = ply::read_with(&folder.path().join(name), &format::ReadOptions::default()).unwrap();
+        let file = read(&folder.path().join(name));
         assert!(file.attributes.iter().all(|a| a.name() == "label"));
         file.attributes.first().map(|a| a.values().to_vec())
     };
@@ -394,7 +394,7 @@ fn invalid_splats_are_refused_or_dropped() {
     write_labelled(&folder.path().join("one.ply"), 2, &[0]);
     let said = convert(folder.path(), "one.ply c.ply --drop-invalid");
     assert!(said.starts_with("one.ply: dropped 1 invalid splat\n") && said.contains(": 1 splat of SH"), "{said}");
-    let left = ply::read_with(&folder.path().join("b.ply"), &format::ReadOptions::default()).unwrap();
+    let left = read(&folder.path().join("b.ply"));
     assert_eq!(left.attributes[0].values(), [1.0, 2.0, 4.0]);
     assert_eq!(as_json(folder.path(), "a.ply b.ply --drop-invalid")["inputs"][0]["dropped"].as_u64(), Some(2));
     // Formats that are read whole or not at all, with the place of the fault.

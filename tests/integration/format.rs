@@ -7,7 +7,7 @@ use glam::Vec3;
 #[test]
 #[ignore = "needs shared data"]
 fn ascii_cube_of_twenty_splats() {
-    let splats = ply::read(&data("oracle_javagl/jsplat-examples/data/unitCube-ascii.ply")).unwrap();
+    let splats = read_scene(&data("oracle_javagl/jsplat-examples/data/unitCube-ascii.ply")).unwrap().splats;
     assert_eq!((splats.len(), splats.sh_degree()), (20, 0));
     assert_eq!(splats.means()[7], Vec3::new(10.0, -10.0, -10.0));
     assert_eq!(splats.sh_of(1)[0], [1.772_453_9, -1.772_453_9, -1.772_453_9]);

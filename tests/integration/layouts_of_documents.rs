@@ -5,7 +5,7 @@ use std::io::Cursor;
 
 use crate::layouts::{Row, assert_near, floats, negated, splats, with_largest, written};
 use centaur::format::{self, WriteOptions, sog};
-use centaur::scene::{Composition, HybridScene};
+use centaur::scene::{Composition, HybridScene, PixelFilter};
 use image_webp::{ColorType, WebPDecoder, WebPEncoder};
 use serde_json::{Value, json};
 
@@ -96,7 +96,7 @@ fn sog_images() {
     // Codebooks and palettes are the writer's choice.
     for splats in [expected.clone(), negated(&expected)] {
         let folder = tempfile::tempdir().unwrap();
-        sog::write(&folder.path().join("meta.json"), &splats).unwrap();
+        sog::write(&folder.path().join("meta.json"), &splats, PixelFilter::DILATION).unwrap();
         let meta: Value = serde_json::from_slice(&std::fs::read(folder.path().join("meta.json")).unwrap()).unwrap();
         assert_eq!([&meta["version"], &meta["count"], &meta["shN"]["bands"]], [&json!(2), &json!(4), &json!(1)]);
         let image = |field: &str, k: usize| {

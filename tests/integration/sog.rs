@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::common;
 use centaur::format::{ReadOptions, SplatFile, read_scene, sog};
-use centaur::scene::Splats;
+use centaur::scene::{PixelFilter, Splats};
 
 fn data(path: &str) -> PathBuf {
     common::data("splats_playcanvas").join(path)
@@ -33,7 +33,7 @@ fn assert_near(found: &[f32], expected: &[f32]) {
 #[test]
 #[ignore = "needs shared data"]
 fn version_2_with_harmonics() {
-    let splats = sog::read(&data("playbot/6_0/meta.json")).unwrap();
+    let splats = read_scene(&data("playbot/6_0/meta.json")).unwrap().splats;
     assert_eq!((splats.len(), splats.sh_degree()), (1873, 2));
     let expected = [
         -0.223045, -0.025091, -0.414377, -2.40433, -4.218688, -5.003636, -0.940563, -0.940563, -1.203117, 4.430817,
@@ -64,7 +64,7 @@ fn version_1_without_harmonics() {
 #[ignore = "needs shared data"]
 fn all_levels_of_detail_lie_in_their_bounds() {
     for (level, count) in [(2, 125_000), (3, 31_000), (4, 8406), (5, 3000), (6, 1873)] {
-        let splats = sog::read(&data(&format!("playbot/{level}_0/meta.json"))).unwrap();
+        let splats = read_scene(&data(&format!("playbot/{level}_0/meta.json"))).unwrap().splats;
         assert_eq!((splats.len(), splats.sh_degree()), (count, 2));
         // `tree.bound` of lod-meta.json, which includes the extent of splats.
         let (low, high) = ([-1.034, -1.084, -1.040], [1.036, 0.053, 1.043]);
@@ -77,19 +77,19 @@ fn all_levels_of_detail_lie_in_their_bounds() {
 #[ignore = "needs shared data"]
 fn an_index_of_levels_of_which_two_are_missing() {
     let index = data("playbot/lod-meta.json");
-    let SplatFile { splats, notes, .. } = sog::read_with(&index, &ReadOptions::default()).unwrap();
+    let SplatFile { splats, notes, .. } = sog::read(&index, &ReadOptions::default()).unwrap();
     assert_eq!((splats.len(), notes.len()), (125_000, 1), "{notes:?}");
-    let alone = sog::read(&data("playbot/2_0/meta.json")).unwrap();
+    let alone = read_scene(&data("playbot/2_0/meta.json")).unwrap().splats;
     assert_eq!(splats.means(), alone.means(), "level 2 is one file");
 }
 
 #[test]
 #[ignore = "needs shared data"]
 fn what_was_quantised_once_stays() {
-    let splats = sog::read(&data("playbot/4_0/meta.json")).unwrap();
+    let splats = read_scene(&data("playbot/4_0/meta.json")).unwrap().splats;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("again.sog");
-    let report = sog::write(&path, &splats).unwrap();
+    let report = sog::write(&path, &splats, PixelFilter::DILATION).unwrap();
     let e = report.loss.max_error;
     // Codebooks contain the existing values, and means and opacities are on the same grid. So are rotations, unless two
     // components are almost equally large: their program truncates where ours rounds, and may then regard another
@@ -99,5 +99,5 @@ fn what_was_quantised_once_stays() {
     assert!(e.sh < 0.2, "{e:?}");
     let others: u64 = data("playbot/4_0").read_dir().unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
     assert!(report.bytes < others * 5 / 4, "{} {others}", report.bytes);
-    assert_eq!(sog::read(&path).unwrap().len(), splats.len());
+    assert_eq!(read_scene(&path).unwrap().splats.len(), splats.len());
 }

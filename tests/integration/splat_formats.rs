@@ -1,17 +1,17 @@
 //! Splat codecs on files of other programs. `CENTAUR_DATA` names the folder (default `../shared/data`).
 
 use crate::common::data;
-use centaur::format::{Loss, ReadOptions, SplatFile, ksplat, ply, splat, spz};
-use centaur::scene::{Splats, sh};
+use centaur::format::{Loss, ReadOptions, SplatFile, ksplat, ply, read_scene, spz};
+use centaur::scene::{PixelFilter, Splats, bounds, sh};
 use glam::Vec3;
 
 #[test]
 #[ignore = "needs shared data"]
 fn three_gaussians_of_train() {
     let folder = "oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train";
-    let exact = ply::read(&data(&format!("{folder}.ply"))).unwrap();
+    let exact = read_scene(&data(&format!("{folder}.ply"))).unwrap().splats;
     assert_eq!((exact.len(), exact.sh_degree()), (3, 3));
-    let coarse = splat::read(&data(&format!("{folder}.splat"))).unwrap();
+    let coarse = read_scene(&data(&format!("{folder}.splat"))).unwrap().splats;
     assert_eq!(coarse.means(), exact.means());
     let loss = Loss::of_splats(&exact, &coarse);
     assert_eq!(loss.sh_degree, Some([3, 0]));
@@ -40,11 +40,11 @@ fn assert_minimal(splats: &Splats, z: [f32; 2], rgb: [f32; 2]) {
 #[test]
 #[ignore = "needs shared data"]
 fn four_splats_of_splat_transform() {
-    let splats = splat::read(&data("oracle_splat_transform/splat/minimal.splat")).unwrap();
+    let splats = read_scene(&data("oracle_splat_transform/splat/minimal.splat")).unwrap().splats;
     assert_minimal(&splats, [-1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0]);
     // Its writer put w last, where both formats have it first: half a turn about z, which is invisible for a sphere.
     assert!(splats.rotations().iter().all(|q| q.z > 0.9999));
-    let splats = ksplat::read(&data("oracle_splat_transform/splat/minimal.ksplat")).unwrap();
+    let splats = read_scene(&data("oracle_splat_transform/splat/minimal.ksplat")).unwrap().splats;
     assert_minimal(&splats, [-1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0]);
     assert!(splats.rotations().iter().all(|q| q.z > 0.9999));
 }
@@ -53,7 +53,7 @@ fn four_splats_of_splat_transform() {
 #[ignore = "needs shared data"]
 fn spz_of_three_programs() {
     for file in ["raw", "v2", "v3", "v4"] {
-        let splats = spz::read(&data(&format!("oracle_splat_transform/splat/minimal-{file}.spz"))).unwrap();
+        let splats = read_scene(&data(&format!("oracle_splat_transform/splat/minimal-{file}.spz"))).unwrap().splats;
         assert!(splats.rotations().iter().all(|q| q.w > 0.9999), "{file}");
         let rgb = [1.0 / 3.0, 2.0 / 3.0];
         if matches!(file, "v3" | "v4") {
@@ -65,16 +65,18 @@ fn spz_of_three_programs() {
     }
 
     // The same splats as PLY, with y down there and y up here.
-    let exact = ply::read(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.ply")).unwrap();
-    let packed = spz::read(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.spz")).unwrap();
+    let exact =
+        read_scene(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.ply")).unwrap().splats;
+    let packed =
+        read_scene(&data("oracle_metalsplatter/SplatIO/TestData/test-splat.3-points-from-train.spz")).unwrap().splats;
     let e = Loss::of_splats(&exact, &packed).max_error;
     assert!(e.mean <= 0.5f32.powi(13) + 1e-6 && e.log_scale <= 1.0 / 32.0 + 1e-5 && e.rotation < 0.28, "{e:?}");
     assert!(e.opacity <= 0.5 / 255.0 + 1e-6 && e.color <= 0.0037, "{e:?}");
     // Its writer rounds to 8 bits first and then to 4.
     assert!(e.sh <= 8.5 / 128.0 + 1e-6 && e.sh > 0.0, "{e:?}");
 
-    let exact = ply::read(&data("oracle_javagl/jsplat-examples/data/unitCube-ascii.ply")).unwrap();
-    let packed = spz::read(&data("oracle_javagl/jspz-examples/data/unitCube.spz")).unwrap();
+    let exact = read_scene(&data("oracle_javagl/jsplat-examples/data/unitCube-ascii.ply")).unwrap().splats;
+    let packed = read_scene(&data("oracle_javagl/jspz-examples/data/unitCube.spz")).unwrap().splats;
     let e = Loss::of_splats(&exact, &packed).max_error;
     assert!(e.mean == 0.0 && e.rotation < 0.8 && e.log_scale <= 1.0 / 32.0 + 1e-5, "{e:?}");
     // The same cube, but with coefficients of ±1 instead of ±1.77 and a logit of 1 instead of 20.
@@ -86,7 +88,7 @@ fn spz_of_three_programs() {
     }
 
     let path = data("oracle_adobe_usd_plugins/spz/tests/SanitySplats.spz");
-    let SplatFile { splats, notes, .. } = spz::read_with(&path, &ReadOptions::default()).unwrap();
+    let SplatFile { splats, notes, .. } = spz::read(&path, &ReadOptions::default()).unwrap();
     assert_eq!((splats.len(), splats.sh_degree(), notes.len()), (10, 3, 0));
     assert_eq!(splats.means()[4], Vec3::new(0.0, -0.800_048_8, -0.800_048_8));
 }
@@ -100,8 +102,8 @@ fn above_the_least_scale_of_spz(splats: Splats) -> Splats {
 #[test]
 #[ignore = "needs shared data"]
 fn biker_is_one_in_compressed_ply_and_spz() {
-    let chunked = ply::read(&data("splats_playcanvas/biker.compressed.ply")).unwrap();
-    let packed = spz::read(&data("splats_playcanvas/biker.spz")).unwrap();
+    let chunked = read_scene(&data("splats_playcanvas/biker.compressed.ply")).unwrap().splats;
+    let packed = read_scene(&data("splats_playcanvas/biker.spz")).unwrap().splats;
     // Both files have the splats in the same order.
     let chunked = above_the_least_scale_of_spz(chunked);
     let loss = Loss::of_splats(&chunked, &packed);
@@ -122,14 +124,14 @@ fn biker_is_one_in_compressed_ply_and_spz() {
         assert!(e.mean == 0.0 && e.log_scale == 0.0 && e.opacity < 1e-6 && e.color < 1e-6, "{e:?}");
         assert!(e.rotation < if version == spz::Version::V2 { 13.5 } else { 0.1 }, "{e:?}");
         assert!(report.bytes < 2_500_000, "{version:?} {report:?}");
-        assert_eq!(spz::read(&path).unwrap().means(), packed.means());
+        assert_eq!(read_scene(&path).unwrap().splats.means(), packed.means());
     }
 }
 
 #[test]
 #[ignore = "needs shared data"]
 fn biker_as_ksplat() {
-    let biker = ply::read(&data("splats_playcanvas/biker.compressed.ply")).unwrap();
+    let biker = read_scene(&data("splats_playcanvas/biker.compressed.ply")).unwrap().splats;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("biker.ksplat");
     for (level, bytes) in
@@ -142,36 +144,31 @@ fn biker_as_ksplat() {
         // Blocks are 3.18/16 wide; the smallest splats have a scale of 1e-5, where f16 has 170 steps.
         assert!(e.mean < 3.18 / 16.0 / 131_068.0 + 3e-7 && e.log_scale < 0.004 && e.rotation < 0.06, "{e:?}");
         assert!(e.opacity < 1e-6 && e.color <= 1.0 / 510.0 + 1e-6, "{e:?}");
-        assert_eq!(ksplat::read(&path).unwrap().len(), biker.len());
+        assert_eq!(read_scene(&path).unwrap().splats.len(), biker.len());
     }
-}
-
-/// Lowest and highest mean.
-fn bounds(splats: &Splats) -> [Vec3; 2] {
-    [Vec3::min, Vec3::max].map(|pick| splats.means().iter().copied().reduce(pick).unwrap())
 }
 
 #[test]
 #[ignore = "needs shared data"]
 fn compressed_plys_of_playcanvas() {
-    let biker = ply::read(&data("splats_playcanvas/biker.compressed.ply")).unwrap();
+    let biker = read_scene(&data("splats_playcanvas/biker.compressed.ply")).unwrap().splats;
     assert_eq!((biker.len(), biker.sh_degree()), (152_746, 0));
     // The smallest and largest bounds in the chunks' table.
-    let [low, high] = bounds(&biker);
+    let [low, high] = bounds(biker.means().iter().copied()).unwrap();
     assert!((low - Vec3::new(-0.621_256, -3.180_076, -0.532_257)).length() < 1e-5, "{low}");
     assert!((high - Vec3::new(0.414_404, -7.15e-7, 0.613_281)).length() < 1e-5, "{high}");
     let first = Vec3::new(-0.104_536_8, -2.387_898_1, -0.360_811);
     assert!((biker.means()[0] - first).length() < 1e-6, "{}", biker.means()[0]);
 
-    let guitar = ply::read(&data("splats_playcanvas/guitar.compressed.ply")).unwrap();
+    let guitar = read_scene(&data("splats_playcanvas/guitar.compressed.ply")).unwrap().splats;
     assert_eq!((guitar.len(), guitar.sh_degree()), (90_854, 0));
 
     // Written again, they are as accurate as before, except for the bounds of different chunks.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("biker.compressed.ply");
-    let report = ply::compressed::write(&path, &biker).unwrap();
+    let report = ply::compressed::write(&path, &biker, PixelFilter::DILATION).unwrap();
     let e = report.loss.max_error;
     assert!(report.bytes < 2_500_000, "{report:?}");
     assert!(e.mean < 1e-3 && e.rotation < 0.28 && e.log_scale < 0.01 && e.opacity <= 1e-6 && e.color < 0.002, "{e:?}");
-    assert_eq!(ply::read(&path).unwrap().len(), biker.len());
+    assert_eq!(read_scene(&path).unwrap().splats.len(), biker.len());
 }

@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use centaur::format::{Loss, SplatError, ksplat, ply, splat, spz};
-use centaur::scene::{Splats, sh};
+use centaur::format::{Loss, SplatError, ksplat, ply, read_scene, splat, spz};
+use centaur::scene::{PixelFilter, Splats, sh};
 use glam::{DMat3, DVec3, Quat, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
@@ -59,28 +59,28 @@ fn both_read_the_same_from_what_is_written_here() {
     let read_by_them = |file: &Path| -> Splats {
         let to: PathBuf = file.with_extension("theirs.ply");
         convert(file, &to);
-        ply::read(&to).unwrap()
+        read_scene(&to).unwrap().splats
     };
     let splats = splats();
 
     let file = at("a.splat");
     splat::write(&file, &splats).unwrap();
     // They convert a byte of a rotation by b/127.5 − 1, but the format's own viewer by b/128 − 1.
-    assert_same("splat", &read_by_them(&file), &splat::read(&file).unwrap(), 1.0);
+    assert_same("splat", &read_by_them(&file), &read_scene(&file).unwrap().splats, 1.0);
 
     let file = at("a.compressed.ply");
-    ply::compressed::write(&file, &splats).unwrap();
-    assert_same("compressed PLY", &read_by_them(&file), &ply::read(&file).unwrap(), 1e-3);
+    ply::compressed::write(&file, &splats, PixelFilter::DILATION).unwrap();
+    assert_same("compressed PLY", &read_by_them(&file), &read_scene(&file).unwrap().splats, 1e-3);
 
     for level in [ksplat::Level::Float, ksplat::Level::Half, ksplat::Level::HalfAndByte] {
         let file = at("a.ksplat");
         ksplat::write(&file, &splats, level).unwrap();
-        assert_same(&format!("{level:?}"), &read_by_them(&file), &ksplat::read(&file).unwrap(), 1e-3);
+        assert_same(&format!("{level:?}"), &read_by_them(&file), &read_scene(&file).unwrap().splats, 1e-3);
     }
     for version in [spz::Version::V2, spz::Version::V3, spz::Version::V4] {
         let file = at("a.spz");
         spz::write(&file, &splats, &spz::Options { version, sh_bits: [8, 8], ..Default::default() }).unwrap();
-        assert_same(&format!("{version:?}"), &turned(&read_by_them(&file)), &spz::read(&file).unwrap(), 1e-3);
+        assert_same(&format!("{version:?}"), &turned(&read_by_them(&file)), &read_scene(&file).unwrap().splats, 1e-3);
     }
 }
 
@@ -100,13 +100,13 @@ fn what_they_write_is_read_within_the_quantisation() {
     };
     // They truncate, so errors are a whole step instead of half a step.
     let limit = SplatError { mean: 0.0, rotation: 2.0, log_scale: 1e-6, opacity: 0.004, color: 0.004, sh: 0.0 };
-    bound("splat", &splat::read(&at("a.splat")).unwrap(), limit);
+    bound("splat", &read_scene(&at("a.splat")).unwrap().splats, limit);
     let limit =
         SplatError { mean: 1.3e-4, rotation: 0.28, log_scale: 0.0313, opacity: 0.002, color: 0.0037, sh: 0.0665 };
-    bound("SPZ", &turned(&spz::read(&at("a.spz")).unwrap()), limit);
+    bound("SPZ", &turned(&read_scene(&at("a.spz")).unwrap().splats), limit);
     // The order differs, so sums are compared.
     let sum = |s: &Splats| s.means().iter().map(|m| m.as_dvec3()).sum::<DVec3>();
-    let chunked = ply::read(&at("a.compressed.ply")).unwrap();
+    let chunked = read_scene(&at("a.compressed.ply")).unwrap().splats;
     assert_eq!((chunked.len(), chunked.sh_degree()), (COUNT, DEGREE));
     assert!((sum(&chunked) - sum(&splats)).length() < 1e-3 * COUNT as f64, "{} {}", sum(&chunked), sum(&splats));
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use centaur::format::{self, CameraFile, ReadOptions, WriteOptions, ksplat, sog, spz};
 use centaur::optimize::checkpoint::Checkpoint;
 use centaur::render::gpu::state::SplatState;
-use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, Splats, Texture, sh};
+use centaur::scene::{Atlas, Camera, Composition, HybridScene, Intrinsics, Mesh, PixelFilter, Splats, Texture, sh};
 use glam::{DMat3, DVec3, Quat, Vec2, Vec3};
 use image::{ImageFormat, Rgb, RgbImage};
 
@@ -111,7 +111,7 @@ pub(crate) fn samples() -> Vec<Sample> {
         add("usdc", vec![("scene.usdc", bytes.to_vec())]);
     }
     let part = |name: &'static str, count: usize| {
-        let write = |path: &Path| sog::write(path, &self::scene(count, 1).splats).map(drop);
+        let write = |path: &Path| sog::write(path, &self::scene(count, 1).splats, PixelFilter::DILATION).map(drop);
         (name, written(folder.path(), name, write))
     };
     add("streamed_sog", vec![("lod-meta.json", LEVELS.into()), part("fine.sog", 9), part("coarse.sog", 4)]);

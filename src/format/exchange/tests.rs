@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use super::*;
+use crate::format::ReadOptions;
 use crate::format::test_scenes::{random_mesh, random_scene};
 
 #[test]
@@ -47,7 +48,7 @@ fn every_part_is_written_bit_for_bit() {
     assert_eq!(named, found.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>());
     assert_eq!(beside.bytes, found.iter().map(|(_, bytes)| bytes).sum::<u64>());
 
-    let splats = ply::read(&folder.path().join(beside.splats.unwrap())).unwrap();
+    let splats = ply::read(&folder.path().join(beside.splats.unwrap()), &ReadOptions::default()).unwrap().splats;
     assert_eq!(splats, scene.splats);
     for (mesh, files) in scene.meshes.iter().zip(&beside.meshes) {
         let atlas = mesh.atlas();

@@ -109,7 +109,7 @@ fn splats_within_spz() {
     for version in [crate::format::spz::Version::V2, crate::format::spz::Version::V3, crate::format::spz::Version::V4] {
         let options = crate::format::spz::Options { version, ..Default::default() };
         crate::format::spz::write(&path, &scene, &options).unwrap();
-        let plain = crate::format::spz::read(&path).unwrap();
+        let plain = crate::format::spz::read(&path, &crate::format::ReadOptions::default()).unwrap().splats;
         let mut b = Builder::default();
         let view = b.view(&std::fs::read(&path).unwrap());
         // Accessors describe the decompressed content, and have no data.

@@ -14,7 +14,7 @@ use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::stored_bytes;
 use super::validate::unknown_properties;
 use super::{Format, FormatError, ReadOptions, detect, ply, read_file, usd};
-use crate::scene::{Camera, Composition, HybridScene, Mesh, PixelFilter, Splats};
+use crate::scene::{self, Camera, Composition, HybridScene, Mesh, PixelFilter, Splats};
 
 /// Content of a scene file. `Display` prints it as a tree; `Serialize` provides the same to scripts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -222,8 +222,7 @@ fn summary(path: &Path, format: Format, bytes: u64, scene: &HybridScene) -> Summ
 
 fn bounds(points: &[Vec3]) -> [[f32; 3]; 2] {
     // Zero added: no corner is at −0.
-    let corner = |pick: fn(Vec3, Vec3) -> Vec3| points.iter().map(|&p| p + Vec3::ZERO).reduce(pick).unwrap_or_default();
-    [corner(Vec3::min).to_array(), corner(Vec3::max).to_array()]
+    scene::bounds(points.iter().copied()).unwrap_or_default().map(|corner| (corner + Vec3::ZERO).to_array())
 }
 
 fn splats(splats: &Splats) -> SplatSummary {

@@ -10,7 +10,7 @@ use crate::format::activation;
 use crate::format::blocks::in_waves;
 use crate::format::loss::{Loss, SplatError};
 use crate::format::splat_record::{SplatRecord, color_bytes, opacity_byte, quantize};
-use crate::scene::{Splats, sh};
+use crate::scene::{self, Splats, sh};
 
 /// Splats in a full bucket, as in the format's own writer.
 const BUCKET: usize = 256;
@@ -92,7 +92,7 @@ fn headers(layout: &Layout, splats: &Splats, block: f32, (buckets, full): (usize
 }
 
 fn bounds(means: &[Vec3]) -> [DVec3; 2] {
-    [Vec3::min, Vec3::max].map(|pick| means.iter().copied().reduce(pick).unwrap_or_default().as_dvec3())
+    scene::bounds(means.iter().copied()).unwrap_or_default().map(Vec3::as_dvec3)
 }
 
 fn in_order(count: usize) -> Vec<Bucket> {

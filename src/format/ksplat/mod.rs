@@ -71,20 +71,12 @@ impl Level {
     }
 }
 
-/// Reads splats of any compression level.
+/// Reads splats of any compression level: the file says no more than splats, and no option applies to it.
 ///
 /// # Errors
 /// If the file cannot be read, is not a `.ksplat`, is truncated, contradicts itself, or holds values that
 /// [`Splats::new`] rejects.
-pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_with(path, &ReadOptions::default()).map(|file| file.splats)
-}
-
-/// Same as [`read`]: the file says no more than splats, and no option applies to it.
-///
-/// # Errors
-/// Those of [`read`].
-pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
+pub fn read(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     let splats = decode::decode(open_file(path)?).map_err(|fault| fault.in_file(path))?;
     Ok(SplatFile::of(splats))
 }

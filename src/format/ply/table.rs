@@ -4,7 +4,7 @@ mod rows;
 
 use std::io::{self, BufRead, Read as _, Seek, SeekFrom};
 
-pub(crate) use self::rows::Body;
+pub(crate) use self::rows::{Body, Row};
 use super::Table;
 use crate::format::attribute::Scalar;
 use crate::format::error::{Fault, shown};

@@ -7,7 +7,7 @@ use super::files::FileSet;
 use super::meta::{Field, Meta, Numbers};
 use super::texels::Texels;
 use crate::format::error::Fault;
-use crate::format::splat_record::{SplatRecord, logit_of_byte};
+use crate::format::splat_record::{SplatRecord, largest_component, logit_of_byte};
 use crate::scene::{SplatArrays, Splats, sh};
 
 /// What each of the 256 values of a byte stands for.
@@ -311,9 +311,9 @@ fn rotation([a, b, c, tag]: [u8; 4]) -> Result<Quat, u8> {
 
 /// Inverse of [`rotation`], for a unit quaternion.
 pub(super) fn rotation_texel(q: Quat) -> [u8; 4] {
-    let [x, y, z, w] = q.as_dquat().to_array();
-    let wxyz = [w, x, y, z];
-    let largest = (1..4).fold(0, |best, i| if wxyz[i].abs() > wxyz[best].abs() { i } else { best });
+    let wxyz = [q.w, q.x, q.y, q.z];
+    let largest = largest_component(wxyz);
+    let wxyz = wxyz.map(f64::from);
     // A quaternion and its negative are the same rotation; readers assume the largest component to be positive.
     let sign = wxyz[largest].signum();
     let mut others = (0..4).filter(|&i| i != largest);

@@ -190,12 +190,14 @@ mod tests {
 
     use super::*;
     use crate::format::test_scenes::random_splats;
+    use crate::scene::PixelFilter;
 
     /// Writes a scene of two leaves in levels 0 and 1 and an environment; returns the path of the index.
     fn written(folder: &Path) -> PathBuf {
         for (name, count, degree) in [("0_0", 9, 1), ("1_0", 4, 0), ("env", 2, 2)] {
             std::fs::create_dir(folder.join(name)).unwrap();
-            super::super::write(&folder.join(name).join("meta.json"), &random_splats(count, degree, 5)).unwrap();
+            let splats = random_splats(count, degree, 5);
+            super::super::write(&folder.join(name).join("meta.json"), &splats, PixelFilter::DILATION).unwrap();
         }
         let path = folder.join(INDEX);
         let leaf = |fine: [usize; 2], coarse: [usize; 2]| {

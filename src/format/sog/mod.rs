@@ -35,20 +35,14 @@ use crate::scene::{PixelFilter, Splats};
 /// Of a scene with levels of detail (`lod-meta.json`) the finest is read; for parts whose file is missing, the finest
 /// available.
 ///
+/// With the splats come the pixel filter, and a note each on missing levels of detail and on other content of the file,
+/// such as a camera. No option applies.
+///
 /// # Errors
 /// If a file cannot be read or is missing, names a path outside the folder, holds lossy images or images of a size
 /// other than the number of splats requires, refers beyond its palettes, or declares more splats than files of its size
 /// can describe.
-pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_with(path, &ReadOptions::default()).map(|file| file.splats)
-}
-
-/// Same as [`read`], with the pixel filter, and a note each on missing levels of detail and on other content of the
-/// file, such as a camera. No option applies.
-///
-/// # Errors
-/// Those of [`read`].
-pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
+pub fn read(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     if path.file_name().is_some_and(|name| name == levels::INDEX) {
         return levels::read(path);
     }
@@ -90,19 +84,12 @@ impl FileSet {
 }
 
 /// Writes version 2, splats in Morton order: a bundle, or, if `path` ends in `meta.json`, separate files in that folder
-/// (images first, each written atomically). The same splats always give the same bytes.
+/// (images first, each written atomically). The same splats always give the same bytes. Of the filter the file states
+/// whether projections of splats keep their integral.
 ///
 /// # Errors
 /// If a file cannot be written, or there are more splats than an image has texels (16384²).
-pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
-    write_with(path, splats, PixelFilter::DILATION)
-}
-
-/// Same as [`write()`]; of the filter the file states whether projections of splats keep their integral.
-///
-/// # Errors
-/// Those of [`write()`].
-pub(super) fn write_with(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Result<WriteReport, FormatError> {
+pub fn write(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Result<WriteReport, FormatError> {
     let encoded = encode::encode(splats, pixel_filter.normalized).map_err(|fault| fault.in_file(path))?;
     let written = decode::Scheme::parse(&encoded.meta, u64::MAX).map_err(|fault| fault.in_file(path))?;
     let written = written.decoder(&encoded.images).map_err(|fault| fault.in_file(path))?;

@@ -14,7 +14,7 @@ type Files = Vec<(String, Vec<u8>)>;
 fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.sog");
-    let report = write(&path, splats).unwrap();
+    let report = write(&path, splats, PixelFilter::DILATION).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     assert_eq!(report.bytes, bytes.len() as u64);
     (bytes, report)
@@ -103,13 +103,13 @@ fn a_folder_holds_the_same_as_a_bundle() {
     let folder = tempfile::tempdir().unwrap();
     let splats = random_splats(100, 1, 3);
     let path = folder.path().join("meta.json");
-    let report = write(&path, &splats).unwrap();
-    assert_eq!(read(&path).unwrap(), parse(written(&splats).0).unwrap());
+    let report = write(&path, &splats, PixelFilter::DILATION).unwrap();
+    assert_eq!(read(&path, &ReadOptions::default()).unwrap().splats, parse(written(&splats).0).unwrap());
     let bytes: u64 = folder.path().read_dir().unwrap().map(|e| e.unwrap().metadata().unwrap().len()).sum();
     assert_eq!((report.bytes, folder.path().read_dir().unwrap().count()), (bytes, 8));
 
     std::fs::remove_file(folder.path().join("quats.webp")).unwrap();
-    let message = read(&path).unwrap_err().to_string();
+    let message = read(&path, &ReadOptions::default()).unwrap_err().to_string();
     assert!(message.contains("/quats/files/0: expected a readable file, found `quats.webp`"), "{message}");
 }
 
@@ -119,7 +119,7 @@ fn names_do_not_lead_out_of_the_folder() {
     let inner = folder.path().join("in");
     std::fs::create_dir(&inner).unwrap();
     let path = inner.join("meta.json");
-    write(&path, &random_splats(9, 0, 3)).unwrap();
+    write(&path, &random_splats(9, 0, 3), PixelFilter::DILATION).unwrap();
     std::fs::rename(inner.join("quats.webp"), folder.path().join("quats.webp")).unwrap();
     let meta = std::fs::read_to_string(&path).unwrap();
     let outside = folder.path().join("quats.webp");
@@ -129,17 +129,17 @@ fn names_do_not_lead_out_of_the_folder() {
     for name in names.into_iter().chain(cfg!(unix).then_some("link.webp")) {
         let quoted = serde_json::to_string(name).unwrap();
         std::fs::write(&path, meta.replace("\"quats.webp\"", &quoted)).unwrap();
-        let message = read(&path).unwrap_err().to_string();
+        let message = read(&path, &ReadOptions::default()).unwrap_err().to_string();
         assert!(message.contains("/quats/files/0: expected a path inside the folder"), "{message}");
     }
     // The same file under another name.
     std::fs::copy(&outside, inner.join("quats.webp")).unwrap();
     std::fs::write(&path, meta.replace("\"quats.webp\"", "\"./quats.webp\"")).unwrap();
-    assert_eq!(read(&path).unwrap().len(), 9);
+    assert_eq!(read(&path, &ReadOptions::default()).unwrap().splats.len(), 9);
     // A folder is refused, as is anything that is not a regular file, such as a pipe to which nobody writes.
     std::fs::create_dir(inner.join("none")).unwrap();
     std::fs::write(&path, meta.replace("\"quats.webp\"", "\"none\"")).unwrap();
-    let message = read(&path).unwrap_err().to_string();
+    let message = read(&path, &ReadOptions::default()).unwrap_err().to_string();
     assert!(message.contains("/quats/files/0: expected a file, found `none`, which is none"), "{message}");
 }
 
@@ -211,7 +211,7 @@ fn a_codebook_may_be_short() {
 fn antialiasing_is_said_as_every_reader_knows_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.sog");
-    write_with(&path, &random_splats(9, 0, 4), PixelFilter::NORMALIZED_DILATION).unwrap();
+    write(&path, &random_splats(9, 0, 4), PixelFilter::NORMALIZED_DILATION).unwrap();
     let zip = std::fs::read(&path).unwrap();
     let read = |change: &dyn Fn(&mut Value)| {
         let SplatFile { pixel_filter, notes, .. } =
@@ -235,7 +235,7 @@ fn antialiasing_is_said_as_every_reader_knows_it() {
     assert_eq!(with(json!(true), json!("3dgs")), (true, vec!["model `3dgs`: not known, left out".to_owned()]));
     assert_eq!(with(json!(false), json!(3)), (false, vec!["model `3`: not known, left out".to_owned()]));
     // Without either there is neither.
-    write(&path, &random_splats(9, 0, 4)).unwrap();
+    write(&path, &random_splats(9, 0, 4), PixelFilter::DILATION).unwrap();
     let none = |meta: &mut Value| assert!(meta.get("antialias").is_none() && meta.get("model").is_none());
     with_meta(&std::fs::read(&path).unwrap(), none);
 }

@@ -65,21 +65,13 @@ impl Default for Options {
     }
 }
 
-/// Reads splats of versions 2 to 4, compressed or not.
+/// Reads splats of versions 2 to 4, compressed or not, with the pixel filter, and notes on what could not be
+/// represented: SH of degree 4, unknown extensions. No option applies.
 ///
 /// # Errors
 /// If the file cannot be read, is not SPZ, is truncated or damaged, or declares more splats than a file of its length can
 /// hold.
-pub fn read(path: &Path) -> Result<Splats, FormatError> {
-    read_with(path, &ReadOptions::default()).map(|file| file.splats)
-}
-
-/// Same as [`read`], with the pixel filter, and notes on what could not be represented: SH of degree 4, unknown
-/// extensions. No option applies.
-///
-/// # Errors
-/// Those of [`read`].
-pub fn read_with(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
+pub fn read(path: &Path, _options: &ReadOptions<'_>) -> Result<SplatFile, FormatError> {
     parse(&read_file(path)?).map_err(|fault| fault.in_file(path))
 }
 

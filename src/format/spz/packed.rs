@@ -3,7 +3,7 @@
 use glam::{Quat, Vec3};
 
 use super::container::{Header, STREAMS};
-use crate::format::splat_record::{SplatRecord, logit_of_byte, opacity_byte};
+use crate::format::splat_record::{SplatRecord, largest_component, logit_of_byte, opacity_byte};
 use crate::scene::sh;
 
 /// Factor of SH coefficient 0: covers more than the display's range, for colours that the higher bands bring back into
@@ -100,7 +100,7 @@ fn decode_first_three(bytes: [u8; 3]) -> Quat {
 /// order, a sign and 9 bits of magnitude, whose maximum represents √½.
 fn encode_smallest_three(q: Quat) -> [u8; 4] {
     let q = q.to_array();
-    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let largest = largest_component(q);
     let others = (0..4).filter(|&i| i != largest).map(|i| {
         // The largest component is made positive, so its sign need not be stored.
         let negative = (q[i] < 0.0) != (q[largest] < 0.0);

@@ -1,8 +1,8 @@
 //! Validation of files against the rules of their format: reports all faults, not only the first.
 //!
 //! Readers stop at the first unusable value; validation examines everything and reports place, expectation and finding.
-//! For glTF, PLY and SPZ it shares no code with the readers except the containers and the digest of bindings; other
-//! formats are checked by their readers.
+//! For glTF, PLY and SPZ it shares no code with the readers except the containers, the properties of a PLY and the
+//! digest of bindings; other formats are checked by their readers.
 
 mod gltf;
 mod ply;

@@ -4,21 +4,16 @@ use std::io::Cursor;
 
 use super::{Findings, Offenders, Severity};
 use crate::format::error::Location;
-use crate::format::ply::parse_splats;
-use crate::format::ply::table::{self, Body, Header};
+use crate::format::ply::layout::{BINDING, REQUIRED, REST, THICKNESS, is_begun, is_meant, is_parameter, rest_columns};
+use crate::format::ply::table::{self, Body, Element, Header, Row};
+use crate::format::ply::{compressed, parse_splats};
 use crate::scene::sh;
 
 /// Magnitude of logits beyond which opacities in f32 are 0 or 1.
 const SATURATED: f64 = 20.0;
 
-/// Properties of every splat, except for the third scale, which flat splats lack.
-const REQUIRED: [&str; 13] =
-    ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "rot_0", "rot_1", "rot_2", "rot_3"];
-
-/// Whether a property is a splat parameter: one of every splat, of higher bands, or the filter of Mip-Splatting.
-fn is_parameter(name: &str) -> bool {
-    REQUIRED.contains(&name) || ["scale_2", "filter_3D"].contains(&name) || name.starts_with("f_rest_")
-}
+/// Number of splats from which on it is no chance if all of them are alike.
+const MANY: usize = 100;
 
 /// Checks a PLY in the INRIA layout, or a packed one. Of any other PLY (points, meshes), only the header and the length
 /// are checked.
@@ -31,7 +26,6 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         Ok(vertex) => vertex,
         Err(fault) => return findings.fault("PLY_ELEMENT", fault),
     };
-    let declared = || Location::Byte(vertex.at as u64);
     let repeated = ply.repeated_property();
     let is_ambiguous = repeated.is_some();
     repeated.into_iter().for_each(|fault| findings.fault("PLY_PROPERTY_TWICE", fault));
@@ -40,38 +34,49 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         Ok(rest) => findings.warning("PLY_LENGTH", Location::File, "no bytes after the last row", rest),
         Err(fault) => return findings.fault("PLY_LENGTH", fault),
     }
-    if vertex.scalar("packed_position").is_some() {
+    if compressed::is_compressed(&ply) {
         // All values are integers between the bounds of their chunk; all other faults are reported by the reader.
         if !is_ambiguous && let Err(fault) = parse_splats(Cursor::new(bytes)) {
             findings.fault("PLY_PACKED", fault);
         }
-        return;
+    } else if has_splats(vertex, findings) {
+        check_layout(vertex, findings);
+        check_values(&ply, &mut body, findings);
     }
-    if !["opacity", "scale_0", "rot_0", "f_dc_0"].iter().any(|name| vertex.scalar(name).is_some()) {
+}
+
+/// Whether the table has all that splats need.
+fn has_splats(vertex: &Element, findings: &mut Findings) -> bool {
+    let declared = Location::Byte(vertex.at as u64);
+    if !is_begun(vertex) {
         let expected = "splats in the INRIA or the packed layout";
-        return findings.warning("PLY_CONTENT", declared(), expected, "a PLY of something else");
+        findings.warning("PLY_CONTENT", declared, expected, "a PLY of something else");
+        return false;
     }
     let missing: Vec<&str> = REQUIRED.into_iter().filter(|name| vertex.scalar(name).is_none()).collect();
     if !missing.is_empty() {
-        return findings.error("PLY_PROPERTY_MISSING", declared(), missing.join(", "), "none of these");
+        findings.error("PLY_PROPERTY_MISSING", declared, missing.join(", "), "none of these");
+        return false;
     }
+    true
+}
+
+/// Checks what other readers may not put up with.
+fn check_layout(vertex: &Element, findings: &mut Findings) {
+    let declared = || Location::Byte(vertex.at as u64);
     if vertex.count == 0 {
         findings.warning("PLY_EMPTY", declared(), "splats", "none: `element vertex 0`");
     }
-    if vertex.scalar("scale_2").is_none() {
+    if vertex.scalar(THICKNESS).is_none() {
         let expected = "scale_2, the third scale, as other readers demand";
         findings.warning("PLY_FLAT", declared(), expected, "none, as of 2DGS");
     }
-    if vertex.scalar("binding_0").is_some() {
+    if vertex.scalar(BINDING).is_some() {
         let expected = "positions, rotations and scales in the world";
-        findings.warning(
-            "PLY_BINDING",
-            declared(),
-            expected,
-            "`binding_0`: relative to triangles of a mesh, as of GaussianAvatars",
-        );
+        let found = format!("`{BINDING}`: relative to triangles of a mesh, as of GaussianAvatars");
+        findings.warning("PLY_BINDING", declared(), expected, found);
     }
-    let rest = (0..90).take_while(|i| vertex.scalar(&format!("f_rest_{i}")).is_some()).count();
+    let rest = rest_columns(vertex).len();
     match sh::degree_of_band_floats(rest, sh::MAX_DEGREE + 1) {
         Some(degree) if degree > sh::MAX_DEGREE => {
             findings.warning("PLY_SH_COUNT", declared(), "bands up to degree 3, as readers have them", "one more");
@@ -79,86 +84,149 @@ pub(super) fn check(bytes: &[u8], findings: &mut Findings) {
         Some(_) => {}
         None => findings.error("PLY_SH_COUNT", declared(), "0, 9, 24 or 45 properties `f_rest_0`, …", rest),
     }
-    check_values(&ply, &mut body, findings);
 }
 
 fn check_values(ply: &Header, body: &mut Body<Cursor<&[u8]>>, findings: &mut Findings) {
-    let Some(vertex) = ply.element("vertex") else { return };
-    let (Ok([opacity]), Ok(rotation)) =
-        (vertex.scalars(["opacity"]), vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"]))
-    else {
-        return;
-    };
-    let scales: Vec<usize> = ["scale_0", "scale_1", "scale_2"].iter().filter_map(|name| vertex.scalar(name)).collect();
-    let names = vertex.scalar_names();
-    let mut row_number = 0usize;
-    let mut not_finite: Vec<(Offenders, usize)> = names.iter().map(|_| Default::default()).collect();
-    let (mut zero, mut unnormalised) = ((Offenders::default(), 0), (Offenders::default(), 0));
-    // The place of the first offender is recorded.
-    let note = |(offenders, at): &mut (Offenders, usize), row_at: usize, what: &dyn Fn() -> String| {
-        offenders.note(|| {
-            *at = row_at;
-            what()
-        });
-    };
-    let (mut linear_opacities, mut linear_scales, mut saturated) = (0usize, 0usize, 0usize);
+    let Some(mut values) = ply.element("vertex").and_then(Values::of) else { return };
     let walked = body.rows(
         ply,
         "vertex",
         |_| (),
         |(), row| {
-            for ((column, name), offenders) in names.iter().zip(&mut not_finite) {
-                let v = row.values[*column];
-                // A logit of ±∞ is an opacity of 0 or 1, a log-scale of −∞ a flat splat: readers understand both.
-                let is_meant =
-                    (*column == opacity && v.is_infinite()) || (scales.contains(column) && v == f64::NEG_INFINITY);
-                if !v.is_finite() && !is_meant {
-                    note(offenders, row.at, &|| format!("{v} in row {row_number} of `{name}`"));
-                }
-            }
-            let norm = rotation.map(|c| row.values[c] * row.values[c]).iter().sum::<f64>().sqrt();
-            if norm == 0.0 {
-                note(&mut zero, row.at, &|| format!("row {row_number}"));
-            } else if (norm - 1.0).abs() > 0.01 {
-                note(&mut unnormalised, row.at, &|| format!("norm {norm:.4} in row {row_number}"));
-            }
-            linear_opacities += usize::from((0.0..=1.0).contains(&row.values[opacity]));
-            linear_scales += usize::from(scales.iter().all(|&c| row.values[c] >= 0.0));
-            saturated += usize::from(row.values[opacity].abs() > SATURATED);
-            row_number += 1;
+            values.look(row);
             Ok(())
         },
     );
     if let Err(fault) = walked {
         findings.fault("PLY_ROWS", fault);
     }
-    let n = row_number;
-    for ((_, name), (offenders, at)) in names.iter().zip(not_finite) {
-        let Some(found) = offenders.summary(n) else { continue };
-        // PLY allows any number; non-finite values of properties besides parameters, such as normals and labels, do not
-        // invalidate the splat.
-        let severity = if is_parameter(name) { Severity::Error } else { Severity::Warning };
-        findings.add(severity, "PLY_NOT_FINITE", Location::Byte(at as u64), "finite numbers".to_owned(), found);
+    values.report(findings);
+}
+
+/// Values that break a rule, and where in the file the row of the first of them begins.
+#[derive(Default)]
+struct Placed {
+    offenders: Offenders,
+    at: usize,
+}
+
+impl Placed {
+    fn note(&mut self, row: &Row, describe: impl FnOnce() -> String) {
+        self.offenders.note(|| {
+            self.at = row.at;
+            describe()
+        });
     }
-    if let Some(found) = zero.0.summary(n) {
-        findings.error("PLY_ROTATION_ZERO", Location::Byte(zero.1 as u64), "quaternions other than 0", found);
+
+    /// Place and [`Offenders::summary`].
+    fn summary(self, of: usize) -> Option<(Location, String)> {
+        Some((Location::Byte(self.at as u64), self.offenders.summary(of)?))
     }
-    if let Some(found) = unnormalised.0.summary(n) {
-        let at = Location::Byte(unnormalised.1 as u64);
-        findings.warning("PLY_ROTATION_NORM", at, "unit quaternions (readers normalise them)", found);
+}
+
+/// What was found in the values of rows.
+struct Values<'a> {
+    vertex: &'a Element,
+    /// Column and name of each property.
+    names: Vec<(usize, &'a str)>,
+    opacity: usize,
+    scales: Vec<usize>,
+    rotation: [usize; 4],
+    rows: usize,
+    /// Of each property.
+    not_finite: Vec<Placed>,
+    zero: Placed,
+    unnormalised: Placed,
+    linear_opacities: usize,
+    linear_scales: usize,
+    saturated: usize,
+}
+
+impl<'a> Values<'a> {
+    /// Values of no rows; `None` if a property is missing.
+    fn of(vertex: &'a Element) -> Option<Self> {
+        let names = vertex.scalar_names();
+        Some(Self {
+            vertex,
+            not_finite: names.iter().map(|_| Placed::default()).collect(),
+            names,
+            opacity: vertex.scalar("opacity")?,
+            scales: ["scale_0", "scale_1", THICKNESS].iter().filter_map(|name| vertex.scalar(name)).collect(),
+            rotation: vertex.scalars(["rot_0", "rot_1", "rot_2", "rot_3"]).ok()?,
+            rows: 0,
+            zero: Placed::default(),
+            unnormalised: Placed::default(),
+            linear_opacities: 0,
+            linear_scales: 0,
+            saturated: 0,
+        })
     }
-    // A handful of splats may look like that by chance.
-    if n >= 100 && linear_opacities == n {
-        let expected = "opacities as logits, from about -5 to 10";
-        findings.warning("PLY_OPACITY_LINEAR", Location::File, expected, "all of them from 0 to 1");
+
+    fn look(&mut self, row: &Row) {
+        self.look_for_not_finite(row);
+        self.look_at_rotation(row);
+        let opacity = row.values[self.opacity];
+        self.linear_opacities += usize::from((0.0..=1.0).contains(&opacity));
+        self.linear_scales += usize::from(self.scales.iter().all(|&c| row.values[c] >= 0.0));
+        self.saturated += usize::from(opacity.abs() > SATURATED);
+        self.rows += 1;
     }
-    if n >= 100 && linear_scales == n {
-        let expected = "scales as natural logarithms, most below 0";
-        findings.warning("PLY_SCALE_LINEAR", Location::File, expected, "all of them 0 or more");
+
+    fn look_for_not_finite(&mut self, row: &Row) {
+        for ((column, name), found) in self.names.iter().zip(&mut self.not_finite) {
+            let v = row.values[*column];
+            // Of properties of one name, readers know the first.
+            let is_known = || is_meant(name, v) && self.vertex.scalar(name) == Some(*column);
+            if !v.is_finite() && !is_known() {
+                found.note(row, || format!("{v} in row {} of `{name}`", self.rows));
+            }
+        }
     }
-    if saturated > 0 {
-        let expected = format!("logits between -{SATURATED} and {SATURATED}");
-        findings.warning("PLY_OPACITY_RANGE", Location::File, expected, format!("{saturated} of {n} beyond"));
+
+    fn look_at_rotation(&mut self, row: &Row) {
+        let number = self.rows;
+        let norm = self.rotation.map(|c| row.values[c] * row.values[c]).iter().sum::<f64>().sqrt();
+        if norm == 0.0 {
+            self.zero.note(row, || format!("row {number}"));
+        } else if (norm - 1.0).abs() > 0.01 {
+            self.unnormalised.note(row, || format!("norm {norm:.4} in row {number}"));
+        }
+    }
+
+    /// Adds to the findings what is wrong with single values, then with all of them.
+    fn report(self, findings: &mut Findings) {
+        let n = self.rows;
+        for ((_, name), found) in self.names.iter().zip(self.not_finite) {
+            let Some((at, found)) = found.summary(n) else { continue };
+            // PLY allows any number; non-finite values of properties besides parameters, such as normals and labels, do
+            // not invalidate the splat. Higher bands are meant to be parameters even if there are too many of them.
+            let is_parameter = is_parameter(name) || name.starts_with(REST);
+            let severity = if is_parameter { Severity::Error } else { Severity::Warning };
+            findings.add(severity, "PLY_NOT_FINITE", at, "finite numbers".to_owned(), found);
+        }
+        if let Some((at, found)) = self.zero.summary(n) {
+            findings.error("PLY_ROTATION_ZERO", at, "quaternions other than 0", found);
+        }
+        if let Some((at, found)) = self.unnormalised.summary(n) {
+            findings.warning("PLY_ROTATION_NORM", at, "unit quaternions (readers normalise them)", found);
+        }
+        if n >= MANY && self.linear_opacities == n {
+            let expected = "opacities as logits, from about -5 to 10";
+            findings.warning("PLY_OPACITY_LINEAR", Location::File, expected, "all of them from 0 to 1");
+        }
+        if n >= MANY && self.linear_scales == n {
+            let expected = "scales as natural logarithms, most below 0";
+            findings.warning("PLY_SCALE_LINEAR", Location::File, expected, "all of them 0 or more");
+        }
+        if self.saturated > 0 {
+            let expected = format!("logits between -{SATURATED} and {SATURATED}");
+            findings.warning(
+                "PLY_OPACITY_RANGE",
+                Location::File,
+                expected,
+                format!("{} of {n} beyond", self.saturated),
+            );
+        }
     }
 }
 
@@ -169,6 +237,7 @@ mod tests {
     use super::super::Finding;
     use super::*;
     use crate::format::test_scenes::random_splats;
+    use crate::scene::PixelFilter;
 
     const COLUMNS: usize = 17;
 
@@ -249,6 +318,20 @@ mod tests {
     }
 
     #[test]
+    fn infinity_means_something_only_where_readers_look() {
+        let mut file = written(1);
+        let body = file.len() - COLUMNS * 4;
+        file[body + 4 * 9..][..4].copy_from_slice(&f32::INFINITY.to_le_bytes());
+        let codes = |name: &str| -> Vec<&'static str> {
+            let header = std::str::from_utf8(&file[..body]).unwrap().replace(" nx\n", &format!(" {name}\n"));
+            findings(&[header.as_bytes(), &file[body..]].concat()).iter().map(|found| found.code).collect()
+        };
+        assert_eq!(codes("nx"), ["PLY_OPACITY_RANGE"]);
+        // Of two properties of one name it is the first.
+        assert_eq!(codes("opacity"), ["PLY_PROPERTY_TWICE", "PLY_NOT_FINITE"]);
+    }
+
+    #[test]
     fn headers_and_lengths() {
         let file = written(3);
         let header_end = file.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
@@ -296,7 +379,7 @@ mod tests {
     fn packed_splats() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
-        crate::format::ply::compressed::write(&path, &random_splats(300, 1, 1)).unwrap();
+        compressed::write(&path, &random_splats(300, 1, 1), PixelFilter::DILATION).unwrap();
         let mut file = std::fs::read(&path).unwrap();
         assert_eq!(findings(&file), []);
         let body = file.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;

@@ -16,12 +16,13 @@ use std::path::Path;
 
 use glam::{Quat, Vec3};
 
+use super::filter::filter_comments;
+use super::layout::{degree_of_rest, rest_columns, rest_name};
 use super::table::{Body, Element, Header};
-use super::{degree_of_rest, rest_columns};
 use crate::format::blocks::in_waves;
 use crate::format::error::Fault;
 use crate::format::loss::{Loss, SplatError, WriteReport};
-use crate::format::splat_record::{SplatRecord, logit_of_byte, opacity_byte, quantize};
+use crate::format::splat_record::{SplatRecord, largest_component, logit_of_byte, opacity_byte, quantize};
 use crate::format::{FormatError, atomic_write_with};
 use crate::scene::{PixelFilter, SplatArrays, Splats, in_morton_order, sh};
 
@@ -68,36 +69,25 @@ struct Bounds {
     color: [Vec3; 2],
 }
 
-/// Writes splats as compressed PLY, in Morton order, so that neighbours in a chunk have narrow bounds.
+/// Writes splats as compressed PLY, in Morton order, so that neighbours in a chunk have narrow bounds. Comments state
+/// the pixel filter as those of [`super::write_with`] do.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write(path: &Path, splats: &Splats) -> Result<WriteReport, FormatError> {
-    write_with(path, splats, PixelFilter::DILATION)
-}
-
-/// Same as [`write()`], with the comments of [`super::write_with`].
-///
-/// # Errors
-/// If the file cannot be written.
-pub(in crate::format) fn write_with(
-    path: &Path,
-    splats: &Splats,
-    pixel_filter: PixelFilter,
-) -> Result<WriteReport, FormatError> {
+pub fn write(path: &Path, splats: &Splats, pixel_filter: PixelFilter) -> Result<WriteReport, FormatError> {
     let bands = sh::coefficients(splats.sh_degree()) - 1;
     let order = in_morton_order(splats);
     let chunks = splats.len().div_ceil(CHUNK);
     let properties =
         |kind: &str, names: &[&str]| names.iter().map(|name| format!("property {kind} {name}\n")).collect::<String>();
-    let comments = super::filter_comments(pixel_filter);
+    let comments = filter_comments(pixel_filter);
     let mut header = format!("ply\nformat binary_little_endian 1.0\n{comments}element chunk {chunks}\n");
     header += &properties("float", &BOUNDS);
     header += &format!("element vertex {}\n", splats.len());
     header += &properties("uint", &PACKED);
     if bands > 0 {
         header += &format!("element sh {}\n", splats.len());
-        (0..3 * bands).for_each(|i| header += &properties("uchar", &[&format!("f_rest_{i}")]));
+        (0..3 * bands).for_each(|i| header += &properties("uchar", &[&rest_name(i)]));
     }
     header += "end_header\n";
     let mut max_error = SplatError::default();
@@ -126,7 +116,7 @@ pub(in crate::format) fn write_with(
 }
 
 /// Whether the header is that of a compressed PLY.
-pub(super) fn is_compressed(header: &Header) -> bool {
+pub(in crate::format) fn is_compressed(header: &Header) -> bool {
     header.element("vertex").is_some_and(|vertex| vertex.scalar(PACKED[0]).is_some())
 }
 
@@ -300,7 +290,7 @@ fn unit(v: u32, levels: u32) -> f32 {
 
 fn encode_rotation(q: Quat) -> u32 {
     let q = [q.w, q.x, q.y, q.z];
-    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let largest = largest_component(q);
     let sign = q[largest].signum();
     let others =
         (0..4).filter(|&i| i != largest).map(|i| quantize(sign * q[i] * std::f32::consts::FRAC_1_SQRT_2 + 0.5, 1023));

@@ -9,7 +9,7 @@ use crate::format::test_scenes::{assert_same_loss, random_splats, saturated_spla
 fn written(splats: &Splats) -> (Vec<u8>, WriteReport) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.compressed.ply");
-    let report = write(&path, splats).unwrap();
+    let report = write(&path, splats, PixelFilter::DILATION).unwrap();
     (std::fs::read(path).unwrap(), report)
 }
 
