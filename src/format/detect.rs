@@ -32,6 +32,9 @@ fn of_start(path: &Path, start: &[u8]) -> Option<Format> {
         Some(Format::Ply)
     } else if let Some(usd) = usd::format_of(start) {
         Some(usd)
+    } else if is(b"PK\x03\x04") && Format::of_path(path) == Some(Format::Usdz) {
+        // Its first file is not a layer, as opening it will report.
+        Some(Format::Usdz)
     } else if sog::is_named(path) || is(b"PK\x03\x04") {
         Some(Format::Sog)
     } else if is(b"NGSP") || is(&[0x1f, 0x8b, 8]) {

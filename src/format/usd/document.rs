@@ -1,6 +1,7 @@
 //! USD layer as plain data: the syntactic content of a `.usda`, not yet interpreted.
 
 use std::borrow::Cow;
+use std::collections::HashSet;
 
 use glam::{DMat4, DQuat};
 
@@ -45,8 +46,18 @@ impl ListEdit {
     }
 
     /// Whether it adds items. Others change items of weaker layers only.
-    fn adds(self) -> bool {
+    pub(super) fn adds(self) -> bool {
         !matches!(self, Self::Delete | Self::Reorder)
+    }
+
+    /// Place of an edit's items in the list to which all edits of a layer lead, from the front; `None`: no edit.
+    pub(super) fn place(edit: Option<Self>) -> u8 {
+        match edit {
+            None | Some(Self::Prepend) => 0,
+            Some(Self::Add) => 1,
+            Some(Self::Append) => 2,
+            Some(Self::Delete | Self::Reorder) => 3,
+        }
     }
 }
 
@@ -136,21 +147,34 @@ impl Targets {
         self.paths.first().filter(|_| self.edit.is_none_or(ListEdit::adds)).map(String::as_str)
     }
 
-    /// Place of the paths in the list to which all edits of a layer lead, from the front.
-    fn place(&self) -> u8 {
-        match self.edit {
-            None | Some(ListEdit::Prepend) => 0,
-            Some(ListEdit::Add) => 1,
-            Some(ListEdit::Append) => 2,
-            Some(ListEdit::Delete | ListEdit::Reorder) => 3,
+    /// Merges a later statement about the same property: the one in front is kept, as only the first path is read.
+    pub(super) fn merge(&mut self, later: Self) {
+        if ListEdit::place(later.edit) <= ListEdit::place(self.edit) {
+            *self = later;
         }
     }
 
-    /// Merges a later statement about the same property: the one in front is kept, as only the first path is read.
-    pub(super) fn merge(&mut self, later: Self) {
-        if later.place() <= self.place() {
-            *self = later;
+    /// List to which the paths lead if a weaker layer or arc states `weaker`.
+    pub(super) fn over(self, weaker: Self) -> Self {
+        let own: HashSet<&str> = self.paths.iter().map(String::as_str).collect();
+        let is_below = |path: &&String| weaker.edit.is_none_or(ListEdit::adds) && !own.contains(path.as_str());
+        let below: Vec<String> = weaker.paths.iter().filter(is_below).cloned().collect();
+        match self.edit {
+            None => self,
+            Some(ListEdit::Prepend) => Self::explicit([self.paths, below].concat()),
+            Some(ListEdit::Add | ListEdit::Append) => Self::explicit([below, self.paths].concat()),
+            Some(ListEdit::Delete) => Self::explicit(below),
+            Some(ListEdit::Reorder) => weaker,
         }
+    }
+}
+
+/// Parts of a path: the prim's path, and the property's name, which is empty if the path is that of a prim.
+pub(super) fn split_property(path: &str) -> (&str, &str) {
+    let last = path.rfind('/').map_or(0, |i| i + 1);
+    match path[last..].find('.').filter(|_| &path[last..] != "..") {
+        Some(dot) => (&path[..last + dot], &path[last + dot + 1..]),
+        None => (path, ""),
     }
 }
 
@@ -341,12 +365,12 @@ impl Prim {
         field(&self.property(property)?.metadata, name)?.as_text()
     }
 
-    /// Value of an attribute; of an animated one without a default, the first sample. `None` if there is no value, or
-    /// it is blocked.
+    /// Value of an attribute at the earliest time: its first sample, or else its default, which samples hide at all
+    /// times. `None` if there is no value, or it is blocked.
     pub(super) fn value(&self, name: &str) -> Option<&Value> {
         let PropertyKind::Attribute { value, samples, .. } = &self.property(name)?.kind else { return None };
-        let first = || samples.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, value)| value);
-        value.as_ref().or_else(first).filter(|v| **v != Value::Blocked)
+        let first = samples.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, value)| value);
+        first.or(value.as_ref()).filter(|v| **v != Value::Blocked)
     }
 
     /// Time samples of an attribute.

@@ -108,7 +108,7 @@ def "W" (
         [
             "/W/M/S: only its diffuse colour is shown, unlit",
             "1 prim with animation, read at its first time",
-            "1 prim with references, which are not followed",
+            "1 prim with references to other layers, which are not followed",
         ]
     );
 }
@@ -226,6 +226,50 @@ def Mesh "M" {{
     assert!((grey(&tiled) - 10.0 / 255.0).abs() < 1e-6);
     let (linear, _) = read_with("clamp", image::GrayImage::from_pixel(1, 1, image::Luma([10])).into());
     assert!((grey(&linear) - crate::scene::color::linear_to_srgb(10.0 / 255.0)).abs() < 1e-6);
+}
+
+/// Beyond the borders of an image that neither repeats nor is clamped, USD has black.
+#[test]
+fn textures_that_are_left_for_black_are_named() {
+    let said = |wrap: &str, uvs: &str| {
+        let (folder, path) = folder_with(&format!(
+            r#"( metersPerUnit = 1 )
+def Mesh "M" {{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    texCoord2f[] primvars:st = {uvs} ( interpolation = "vertex" )
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </M/M>
+    def Material "M" {{
+        token outputs:surface.connect = <S.outputs:surface>
+        def Shader "S" {{
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = <../T.outputs:rgb>
+        }}
+        def Shader "T" {{
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @./t.png@
+            {wrap}
+        }}
+    }}
+}}
+"#
+        ));
+        std::fs::write(folder.path().join("t.png"), black_png(1, 1)).unwrap();
+        let notes = read(&path).unwrap().notes;
+        let said = "/M: a texture that is black beyond its borders is extended by its edge there instead";
+        notes.iter().filter(|note| *note == said).count()
+    };
+    let modes = |s: &str, t: &str| format!("token inputs:wrapS = \"{s}\" token inputs:wrapT = \"{t}\"");
+    let [within, beyond_s] = ["[(0, -0.0001), (1, 0), (0, 1.0001)]", "[(0, 0), (1.5, 0), (0, 1)]"];
+    for black in ["black", "useMetadata"] {
+        assert_eq!(said(&modes(black, black), within), 0);
+        assert_eq!(said(&modes(black, black), beyond_s), 1);
+        assert_eq!(said(&modes("clamp", black), beyond_s), 0);
+        assert_eq!(said(&modes(black, "repeat"), beyond_s), 1);
+    }
+    assert_eq!([said("", within), said("", beyond_s), said(&modes("mirror", "clamp"), beyond_s)], [0, 1, 0]);
 }
 
 #[test]

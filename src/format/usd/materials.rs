@@ -45,25 +45,43 @@ struct Picture {
 }
 
 /// Texture coordinates of an image on a surface.
-#[derive(Clone, PartialEq)]
+#[derive(Clone)]
 pub(super) struct Coordinates {
     /// Primvar with the texture coordinates.
     pub(super) primvar: String,
     /// Mapping of the coordinates, v downwards as everywhere in this crate.
     pub(super) map: UvMap,
+    /// Whether the image is black beyond its borders, horizontally and vertically.
+    is_black_beyond: [bool; 2],
 }
 
 impl Coordinates {
     /// Default texture coordinates.
     fn plain() -> Self {
-        Self { primvar: ST.to_owned(), map: UvMap::plain(0) }
+        Self { primvar: ST.to_owned(), map: UvMap::plain(0), is_black_beyond: [false; 2] }
+    }
+
+    /// Whether these corners reach to where the image is black, beyond its borders.
+    pub(super) fn leave_the_image(&self, corners: &[[Vec2; 3]]) -> bool {
+        let is_beyond = |v: f32| !(-ROUNDING..=1.0 + ROUNDING).contains(&v);
+        [0, 1]
+            .into_iter()
+            .filter(|&axis| self.is_black_beyond[axis])
+            .any(|axis| corners.as_flattened().iter().any(|uv| is_beyond(uv[axis])))
+    }
+
+    /// Whether they are taken from the same place in the same way.
+    fn agree(&self, other: &Self) -> bool {
+        (&self.primvar, self.map) == (&other.primvar, other.map)
     }
 
     /// Texture coordinates of a `UsdUVTexture`: a primvar, via any number of `UsdTransform2d`.
     fn of(stage: &Stage<'_>, texture: usize) -> Self {
-        let wrap = ["inputs:wrapS", "inputs:wrapT"].map(|name| match stage.text(texture, name) {
-            Some("repeat") => WrappingMode::Repeat,
-            Some("mirror") => WrappingMode::MirroredRepeat,
+        // The image may state a mode, but those that are read here do not: without one, it is black.
+        let modes = ["inputs:wrapS", "inputs:wrapT"].map(|name| stage.text(texture, name).unwrap_or("useMetadata"));
+        let wrap = modes.map(|mode| match mode {
+            "repeat" => WrappingMode::Repeat,
+            "mirror" => WrappingMode::MirroredRepeat,
             _ => WrappingMode::ClampToEdge,
         });
         let (mut linear, mut offset) = (Mat2::IDENTITY, Vec2::ZERO);
@@ -92,9 +110,13 @@ impl Coordinates {
         // USD has v upwards: flip, transform, flip back.
         let over = Mat2::from_diagonal(Vec2::new(1.0, -1.0));
         let transform = (over * linear * over, over * (linear * Vec2::Y + offset) + Vec2::Y);
-        Self { primvar: primvar.to_owned(), map: UvMap::new(transform, wrap) }
+        let is_black_beyond = modes.map(|mode| matches!(mode, "black" | "useMetadata"));
+        Self { primvar: primvar.to_owned(), map: UvMap::new(transform, wrap), is_black_beyond }
     }
 }
+
+/// Tolerance, in images, by which coordinates may pass the border of one and still belong to it.
+const ROUNDING: f32 = 1e-3;
 
 /// Upper bound on chained transforms of texture coordinates.
 const MOST_TRANSFORMS: usize = 16;
@@ -160,11 +182,19 @@ impl<'a> Materials<'a> {
         if threshold > 0.0 {
             opacity.texels.iter_mut().for_each(|t| *t = t.map(|a| f32::from(a >= threshold)));
         }
-        if color.coordinates.is_some() && opacity.coordinates.is_some() && color.coordinates != opacity.coordinates {
-            notes.push(format!("{path}: its opacity uses the texture coordinates of its colour, not its own"));
-        }
         let atlas = self.joined(&color, &opacity, &path)?;
-        Ok((atlas, color.coordinates.or(opacity.coordinates).unwrap_or_else(Coordinates::plain)))
+        let coordinates = match (color.coordinates, opacity.coordinates) {
+            (Some(of_color), Some(of_opacity)) => {
+                if !of_color.agree(&of_opacity) {
+                    notes.push(format!("{path}: its opacity uses the texture coordinates of its colour, not its own"));
+                }
+                let [s, t] = of_opacity.is_black_beyond;
+                let is_black_beyond = [of_color.is_black_beyond[0] || s, of_color.is_black_beyond[1] || t];
+                Coordinates { is_black_beyond, ..of_color }
+            }
+            (of_color, of_opacity) => of_color.or(of_opacity).unwrap_or_else(Coordinates::plain),
+        };
+        Ok((atlas, coordinates))
     }
 
     /// Exact maps, if the mesh refers to them.

@@ -12,21 +12,25 @@
 //!
 //! Files are y up: a capture's world is rotated by half a turn about x, including SH and maps.
 //!
-//! Splats, meshes and cameras of other programs are converted to metres. One layer is read; what would have to be
-//! composed of several is named in the notes. Files are refused that are malformed or hold splats that cannot be
-//! represented: a transform that flattens them, non-finite values.
+//! Splats, meshes and cameras of other programs are converted to metres. One layer is read, with what its prims inherit,
+//! refer to or specialise in it and with the variants that it selects; what would have to be composed of several layers
+//! is named in the notes. Files are refused that are malformed or hold splats that cannot be represented: a transform
+//! that flattens them, non-finite values.
 //!
 //! A `.usda` is written with its pictures beside it, under names that begin with its own. Scales and opacities are
 //! stored linearly in f32, as the schema requires: log-scales are recovered to 1e-6, opacities to 1e-7, all other
 //! optimised values bit for bit.
 //!
 //! ```text
-//! file ──→ package ──→ lex, parse ──→ document ──→ stage, xform, to_scene (splats, surfaces, materials, views) ──→ scene
+//! file ──→ package ──→ lex, parse ──→ document ──→ compose ──→ stage, xform, to_scene (splats, surfaces, …) ──→ scene
 //!                └───→ binary ──────────┘
 //! file ←── package ←── print ←─────── document ←── from_scene, maps ←────────────────────────────────────────── scene
 //! ```
 
 mod binary;
+mod compose;
+#[cfg(test)]
+mod compose_tests;
 mod counts;
 mod document;
 mod extent;
@@ -74,8 +78,11 @@ use crate::scene::{Camera, ColorSpace, HybridScene};
 /// If the file cannot be read, or is refused for what it holds.
 pub(super) fn read(path: &Path) -> Result<Content, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
-    let scene = document(layer).and_then(|layer| to_scene::scene(&layer, &mut place));
-    let scene = scene.and_then(Content::in_capture_frame);
+    let scene = composed(layer).and_then(|(layer, left_out)| {
+        let mut content = to_scene::scene(&layer, &mut place)?;
+        content.notes.extend(left_out);
+        content.in_capture_frame()
+    });
     scene.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 
@@ -95,9 +102,9 @@ pub(super) struct Breach {
 pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
     let Opened { layer, mut place, member } = package::open(path)?;
     let mut found = vec![];
-    let stopped = match document(layer) {
+    let stopped = match composed(layer) {
         Err(fault) => Some(fault),
-        Ok(layer) => {
+        Ok((layer, _)) => {
             let stage = Stage::new(&layer);
             let mut materials = Materials::new(&mut place, ColorSpace::default());
             // Prims other than definitions may rely on the prims that they override.
@@ -122,8 +129,13 @@ pub(super) fn breaches(path: &Path) -> Result<Vec<Breach>, FormatError> {
 pub(super) fn bytes_beside(path: &Path) -> Result<u64, FormatError> {
     let Opened { layer, place, .. } = package::open(path)?;
     let Place::Folder(folder) = place else { return Ok(0) };
-    let layer = document(layer).map_err(|fault| fault.in_file(path))?;
+    let (layer, _) = composed(layer).map_err(|fault| fault.in_file(path))?;
     Ok(package::bytes_of_files(Stage::new(&layer).assets(), &folder))
+}
+
+/// Parses a layer and follows its arcs; also returns notes on those within the layer that cannot be followed.
+fn composed(layer: Vec<u8>) -> Result<(Layer, Vec<String>), Fault> {
+    document(layer).and_then(compose::composed)
 }
 
 /// Parses a layer in text or binary form.
@@ -168,7 +180,7 @@ pub(super) fn write(
 /// Reads the cameras only, animated ones frame by frame.
 pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>) -> Result<CameraFile, FormatError> {
     let Opened { layer, member, .. } = package::open(path)?;
-    let cameras = document(layer).and_then(|layer| shot::read(layer, sampling));
+    let cameras = composed(layer).and_then(|(layer, _)| shot::read(layer, sampling));
     cameras.map_err(|fault| located(fault, member.as_ref()).in_file(path))
 }
 

@@ -10,7 +10,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 use super::maps::Mismatch;
 use crate::format::FormatError;
 use crate::format::archive::{UntilError, write_zip};
-use crate::format::error::{Fault, open_file, read_file};
+use crate::format::error::{Fault, open_file, read_file, shown};
 use crate::format::gltf::{self, resolve};
 
 /// Alignment of members' data (the specification of USDZ), which allows memory mapping.
@@ -138,6 +138,10 @@ fn package(mut file: BufReader<File>) -> Result<Opened, Fault> {
         }
     }
     let (start, index, name) = first.ok_or_else(|| Fault::byte(directory, "a package with a layer", "an empty one"))?;
+    if !is_layer(name.as_bytes()) {
+        let expected = "a package whose first file is its layer, a .usda, .usdc or .usd";
+        return Err(Fault::byte(start as usize, expected, shown(name.as_bytes())));
+    }
     let unread = |(expected, found)| Fault::byte(start as usize, expected, found);
     let layer = stored(&mut archive, index).map_err(unread)?;
     let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned();
@@ -149,7 +153,12 @@ pub(super) fn is_package(start: &[u8]) -> bool {
     // The length of the name is at byte 26 of the member's header, the name at byte 30.
     let Some(length) = start.get(26..28).filter(|_| start.starts_with(b"PK\x03\x04")) else { return false };
     let length = usize::from(u16::from_le_bytes([length[0], length[1]]));
-    let name = start.get(30..30 + length).unwrap_or_default();
+    is_layer(start.get(30..30 + length).unwrap_or_default())
+}
+
+/// Whether a file of this name is a layer.
+fn is_layer(name: &[u8]) -> bool {
+    let name = name.to_ascii_lowercase();
     [&b".usda"[..], b".usdc", b".usd"].iter().any(|extension| name.ends_with(extension))
 }
 

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use glam::DMat4;
 
-use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value};
+use super::document::{Layer, Numeric, Prim, PropertyKind, Scalar, Value, split_property};
 use super::inherited::Constants;
 use crate::format::cameras::short;
 use crate::format::error::Fault;
@@ -15,8 +15,7 @@ pub(super) struct Stage<'a> {
     pub(super) prims: Vec<&'a Prim>,
     pub(super) parents: Vec<Option<usize>>,
     children: HashMap<(Option<usize>, &'a str), usize>,
-    /// Time code at which [`Self::value`] evaluates; `None`: no time, in which case defaults take precedence over
-    /// samples.
+    /// Time code at which [`Self::value`] evaluates; `None`: the earliest.
     pub(super) time: Option<f64>,
 }
 
@@ -118,11 +117,7 @@ impl<'a> Stage<'a> {
 
     /// Prim at `path`, which may be relative to `from` and may end in a property, and that property's name.
     pub(super) fn find<'p>(&self, from: usize, path: &'p str) -> Option<(usize, &'p str)> {
-        let last = path.rfind('/').map_or(0, |i| i + 1);
-        let (prims, property) = match path[last..].find('.').filter(|_| &path[last..] != "..") {
-            Some(dot) => (&path[..last + dot], &path[last + dot + 1..]),
-            None => (path, ""),
-        };
+        let (prims, property) = split_property(path);
         let (mut at, rest) = match prims.strip_prefix('/') {
             Some(rest) => (None, rest),
             None => (Some(from), prims),

@@ -81,6 +81,11 @@ pub(super) fn read(
                 corner_uvs.push(if uvs.is_some() { coordinates.map.corners(of_triangle) } else { of_triangle });
             }
         }
+        if uvs.is_some() && coordinates.leave_the_image(&corner_uvs) {
+            notes.push(format!(
+                "{at}: a texture that is black beyond its borders is extended by its edge there instead"
+            ));
+        }
         // A mesh with one material keeps its vertices, including unused ones.
         let positions =
             if parts.len() == 1 { polygons.points.clone() } else { used_points(&polygons.points, &mut triangles) };

@@ -469,6 +469,43 @@ fn splats_under_a_flat_transform_are_not_drawn() {
     assert!(file.notes.iter().any(|note| note == said), "{:?}", file.notes);
 }
 
+/// As in OpenUSD at the earliest time, which is one for all.
+#[test]
+fn what_moves_is_read_at_its_first_time() {
+    let file = read_text(
+        r#"( metersPerUnit = 1 )
+def ParticleField3DGaussianSplat "S" {
+    point3f[] positions = [(0, 0, 0)]
+    point3f[] positions.timeSamples = { 7: [(0, 0, 3)], 5: [(0, 0, 2)] }
+    double3 xformOp:translate = (1, 2, 3)
+    double3 xformOp:translate.timeSamples = { 10: (20, 0, 0), 1: (10, 0, 0) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"#,
+    );
+    assert_eq!(file.scene.splats.means(), [Vec3::new(10.0, 0.0, -2.0)]);
+    assert_eq!(file.notes.last().unwrap(), "1 prim with animation, read at its first time");
+}
+
+/// Otherwise the layer is not where programs look for it.
+#[test]
+fn the_first_file_of_a_package_is_its_layer() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.usdz");
+    let mut zip = zip::ZipWriter::new(std::fs::File::create(&path).unwrap());
+    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    for (name, content) in [("x.png", &b"png"[..]), ("a.usda", &b"#usda 1.0\n"[..])] {
+        zip.start_file(name, options).unwrap();
+        std::io::Write::write_all(&mut zip, content).unwrap();
+    }
+    zip.finish().unwrap();
+    assert_eq!(crate::format::detect(&path).unwrap(), Format::Usdz);
+    let message = read(&path).unwrap_err().to_string();
+    let said =
+        "a.usdz: byte 0: expected a package whose first file is its layer, a .usda, .usdc or .usd, found `x.png`";
+    assert!(message.ends_with(said), "{message}");
+}
+
 #[test]
 fn members_are_found_by_names_with_backslashes() {
     let folder = tempfile::tempdir().unwrap();

@@ -271,7 +271,7 @@ def "a" {
     assert_eq!(prim.properties.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["x", "y", "r"]);
     let x = prim.property("x").unwrap();
     assert!(x.custom && x.metadata.len() == 2);
-    assert_eq!(prim.value("x").and_then(Value::as_number), Some(1.0));
+    assert_eq!(prim.value("x").and_then(Value::as_number), Some(2.0));
     assert_eq!((prim.samples("x").len(), prim.connection("x")), (2, Some("/b.z")));
     assert_eq!(prim.children[0].value("x").and_then(Value::as_number), Some(7.0));
 }

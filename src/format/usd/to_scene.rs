@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::{DMat4, DVec3};
 
+use super::compose::OUTWARD;
 use super::document::{Layer, Prim, Property, PropertyKind, Specifier, Value, field};
 use super::inherited::{BIND_TRANSFORM, Constants, JOINTS};
 use super::materials::Materials;
@@ -26,9 +27,6 @@ pub(super) const SPLATS: &str = "ParticleField3DGaussianSplat";
 /// Types of prims that only group, or that belong to others.
 const SILENT: [&str; 10] =
     ["", "Xform", "Scope", "Material", "Shader", "NodeGraph", "GeomSubset", "SkelRoot", "RenderSettings", "Backdrop"];
-
-/// Metadata that compose a prim from others.
-const ARCS: [&str; 4] = ["references", "payload", "inherits", "specializes"];
 
 /// Reads a layer whose files are in `place`: in the frame of the capture if it is ours, else y up.
 pub(super) fn scene(layer: &Layer, place: &mut Place) -> Result<Content, Fault> {
@@ -225,9 +223,14 @@ fn as_bound(stage: &Stage<'_>, placed: &Placed, places: &[Placed]) -> Result<Pla
 }
 
 fn is_drawn(prim: &Prim, left_out: &mut Counts) -> bool {
-    let is_inactive = field(&prim.metadata, "active").and_then(Value::as_number) == Some(0.0);
-    // Prims that are overrides or classes are not drawn by themselves.
-    if prim.specifier != Specifier::Def || is_inactive {
+    if field(&prim.metadata, "active").and_then(Value::as_number) == Some(0.0) {
+        return false;
+    }
+    // Prims that are overrides or classes are not drawn by themselves, but what an override refers to may define it.
+    if prim.specifier != Specifier::Def {
+        if prim.specifier == Specifier::Over {
+            left_out.arcs(prim);
+        }
         return false;
     }
     if prim.value("visibility").and_then(Value::as_text) == Some("invisible") {
@@ -269,15 +272,20 @@ impl Counts {
         }
     }
 
-    fn prim(&mut self, prim: &Prim) {
-        for arc in ARCS {
+    /// Counts what composition has left of the arcs of a prim.
+    fn arcs(&mut self, prim: &Prim) {
+        for arc in OUTWARD {
             if field(&prim.metadata, arc).is_some() {
-                self.add(&format!("with {arc}, which are not followed"));
+                self.add(&format!("with {arc} to other layers, which are not followed"));
             }
         }
         if !prim.variants.is_empty() {
             self.add("with variants, none of which is selected");
         }
+    }
+
+    fn prim(&mut self, prim: &Prim) {
+        self.arcs(prim);
         let mut metadata = std::iter::once(&prim.metadata).chain(prim.properties.iter().map(|p| &p.metadata));
         if metadata.any(|metadata| foreign::entries(metadata, "customData") > 0) {
             self.add("with customData left out");

@@ -40,6 +40,10 @@ impl<'a> Cursor<'a> {
         Ok(bytes.first_chunk().expect("as many bytes as were asked for"))
     }
 
+    pub(super) fn u32(&mut self) -> Result<u32, Fault> {
+        Ok(u32::from_le_bytes(*self.chunk()?))
+    }
+
     pub(super) fn u64(&mut self) -> Result<u64, Fault> {
         Ok(u64::from_le_bytes(*self.chunk()?))
     }
@@ -94,16 +98,26 @@ impl<'a> Cursor<'a> {
 
     /// Reads the items that a list edit sets or adds, in the order of the list that it makes.
     pub(super) fn list_op(&mut self) -> Result<Vec<u32>, Fault> {
+        self.list_op_of(4, Self::u32)
+    }
+
+    /// Same as [`Self::list_op`], for items of at least `least` bytes.
+    pub(super) fn list_op_of<T>(
+        &mut self,
+        least: usize,
+        one: impl Fn(&mut Self) -> Result<T, Fault>,
+    ) -> Result<Vec<T>, Fault> {
         let [flags] = *self.chunk()?;
-        let mut lists: [Vec<u32>; 4] = Default::default();
+        let mut lists: [Vec<T>; 4] = Default::default();
         // Deleted and ordered items follow, which are not read.
         for (flag, items) in [1, 2, 5, 6].into_iter().zip(&mut lists) {
             if flags >> flag & 1 == 1 {
-                let count = self.count(4)?;
-                *items = self.indices(count)?;
+                for _ in 0..self.count(least)? {
+                    items.push(one(self)?);
+                }
             }
         }
         let [explicit, added, prepended, appended] = lists;
-        Ok([explicit, prepended, added, appended].concat())
+        Ok(explicit.into_iter().chain(prepended).chain(added).chain(appended).collect())
     }
 }

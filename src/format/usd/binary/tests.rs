@@ -35,7 +35,22 @@ fn stored(type_name: &str, value: &Value) -> Value {
 fn assert_same(text: &Prim, binary: &Prim) {
     let id = |p: &Prim| (p.specifier, p.type_name.clone(), p.name.clone(), p.children.len(), p.properties.len());
     assert_eq!(id(text), id(binary));
-    assert_eq!(text.variants.is_empty(), binary.variants.is_empty());
+    let variants = |prim: &Prim| {
+        let all =
+            prim.variants.iter().map(|variant| (variant.set.clone(), variant.name.clone(), variant.content.clone()));
+        let mut all: Vec<_> = all.collect();
+        all.sort_by(|a, b| (&a.0, &a.1).cmp(&(&b.0, &b.1)));
+        all
+    };
+    let (of_text, of_binary) = (variants(text), variants(binary));
+    assert_eq!(of_text.len(), of_binary.len());
+    for ((set, name, content), (set_back, name_back, content_back)) in of_text.iter().zip(&of_binary) {
+        assert_eq!((set, name), (set_back, name_back));
+        assert_same(content, content_back);
+    }
+    for name in ["variants", "variantSets"] {
+        assert_eq!(field(&text.metadata, name).is_some(), field(&binary.metadata, name).is_some(), "{name}");
+    }
     for property in &text.properties {
         let name = &property.name;
         let other = binary.property(name).unwrap_or_else(|| panic!("{name} is missing"));

@@ -16,11 +16,26 @@ const ROOT: i32 = 7;
 const RELATIONSHIP: i32 = 8;
 const VARIANT: i32 = 10;
 
+/// Names of metadata of prims, and those that they have in text.
+const RENAMED: [(&str, &str); 3] =
+    [("inheritPaths", "inherits"), ("variantSelection", "variants"), ("variantSetNames", "variantSets")];
+
 /// Content of a spec.
 enum Spec {
     Prim(Prim),
     Property(Property),
     Variant(Variant),
+}
+
+impl Spec {
+    /// What has children and properties: a prim, or the content of a variant.
+    fn prim(&mut self) -> Option<&mut Prim> {
+        match self {
+            Self::Prim(prim) => Some(prim),
+            Self::Variant(variant) => Some(&mut variant.content),
+            Self::Property(_) => None,
+        }
+    }
 }
 
 /// Value, or samples of an animated value.
@@ -104,8 +119,9 @@ impl Crate<'_> {
                     continue;
                 }
                 VARIANT => {
-                    let name = self.name(node.token)?;
-                    Spec::Variant(Variant { set: String::new(), name, content: Prim::default() })
+                    let element = self.name(node.token)?;
+                    let metadata = prim(String::new(), fields).metadata;
+                    Spec::Variant(variant(&element, Prim { metadata, ..Prim::default() }))
                 }
                 PRIM => Spec::Prim(prim(self.name(node.token)?, fields)),
                 kind => Spec::Property(property(self.name(node.token)?, kind == ATTRIBUTE, fields)),
@@ -120,17 +136,17 @@ impl Crate<'_> {
         by_depth.sort_by_key(|&i| std::cmp::Reverse(self.paths[i].depth));
         for i in by_depth {
             let Some(mut spec) = specs[i].take() else { continue };
-            if let Spec::Prim(prim) = &mut spec {
+            if let Some(prim) = spec.prim() {
                 arrange(&mut prim.children, &orders[i]);
             }
-            let parent = self.paths[i].parent;
-            match (spec, specs.get_mut(parent).and_then(Option::as_mut)) {
+            let above = specs.get_mut(self.paths[i].parent).and_then(Option::as_mut).and_then(Spec::prim);
+            match (spec, above) {
                 (Spec::Prim(prim), _) if self.paths[i].depth == 1 => layer.prims.push(prim),
-                (Spec::Prim(prim), Some(Spec::Prim(above))) => above.children.push(prim),
-                (Spec::Property(property), Some(Spec::Prim(above))) => above.properties.push(property),
-                (Spec::Variant(variant), Some(Spec::Prim(above))) => above.variants.push(variant),
-                // Content of variants, which are not selected.
-                _ => {}
+                (Spec::Prim(prim), Some(above)) => above.children.push(prim),
+                (Spec::Property(property), Some(above)) => above.properties.push(property),
+                (Spec::Variant(variant), Some(above)) => above.variants.push(variant),
+                // Below what is no prim.
+                (_, None) => {}
             }
         }
         let root = self.paths.iter().position(|node| node.depth == 0);
@@ -187,8 +203,13 @@ fn metadata(fields: Vec<(String, Content)>) -> Vec<Field> {
 }
 
 fn prim(name: String, fields: Vec<(String, Content)>) -> Prim {
-    let mut prim = Prim { name, ..Prim::default() };
-    for field in metadata(fields) {
+    // Overrides need not state that they are.
+    let mut prim = Prim { name, specifier: Specifier::Over, ..Prim::default() };
+    for mut field in metadata(fields) {
+        // As text calls it.
+        if let Some((_, name)) = RENAMED.into_iter().find(|(name, _)| *name == field.name) {
+            name.clone_into(&mut field.name);
+        }
         match (field.name.as_str(), &field.value) {
             ("specifier", Value::Number(n)) => {
                 prim.specifier = Specifier::ALL.get(*n as usize).copied().unwrap_or(Specifier::Over);
@@ -199,6 +220,13 @@ fn prim(name: String, fields: Vec<(String, Content)>) -> Prim {
         }
     }
     prim
+}
+
+/// Variant with the path element `{set=name}`.
+fn variant(element: &str, content: Prim) -> Variant {
+    let element = element.trim_start_matches('{').trim_end_matches('}');
+    let (set, name) = element.split_once('=').unwrap_or((element, ""));
+    Variant { set: set.to_owned(), name: name.to_owned(), content }
 }
 
 fn property(name: String, is_attribute: bool, fields: Vec<(String, Content)>) -> Property {

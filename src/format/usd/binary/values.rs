@@ -15,6 +15,9 @@ const PER_VALUE: usize = size_of::<(f64, Value)>() / 8 + 4;
 /// Shorter arrays are never compressed.
 const MIN_COMPRESSED: usize = 16;
 
+/// Bytes of a reference but for its dictionary: indices of a string and of a path, offset and scale of time.
+const REFERENCE: usize = 24;
+
 /// Value representation: 1 bit each for array, inlined and compressed, 8 bits of type, 48 bits of content or of its
 /// offset.
 #[derive(Clone, Copy)]
@@ -123,24 +126,52 @@ impl Crate<'_> {
                     _ => c.string(i).map(Value::Asset),
                 })?
             }
-            (kind @ (32 | 34), false) => {
+            (kind @ 32..=34, false) => {
                 let indices = self.at(rep.payload())?.list_op()?;
-                self.list(
-                    &indices,
-                    |c, i| if kind == 32 { c.token(i).map(Value::Text) } else { c.path(i).map(Value::Path) },
-                )?
+                self.list(&indices, |c, i| match kind {
+                    32 => c.token(i).map(Value::Text),
+                    33 => c.string(i).map(Value::Text),
+                    _ => c.path(i).map(Value::Path),
+                })?
             }
-            (41, false) => {
+            (35, false) => {
+                let items = self.at(rep.payload())?.list_op_of(REFERENCE + 8, |cursor| {
+                    let item = reference(cursor)?;
+                    cursor.take(REFERENCE - 8)?;
+                    skip_dictionary(cursor)?;
+                    Ok(item)
+                })?;
+                self.references(&items)?
+            }
+            // Payloads have no dictionary, and since version 0.8 an offset of time.
+            (55, false) => {
+                let length = if self.version < [0, 8] { 8 } else { REFERENCE };
+                let items = self.at(rep.payload())?.list_op_of(length, |cursor| {
+                    let item = reference(cursor)?;
+                    cursor.take(length - 8)?;
+                    Ok(item)
+                })?;
+                self.references(&items)?
+            }
+            (47, false) => {
+                let item = reference(&mut self.at(rep.payload())?)?;
+                self.references(&[item])?
+            }
+            (kind @ (41 | 50), false) => {
                 let mut cursor = self.at(rep.payload())?;
                 let count = cursor.count(4)?;
                 let indices = cursor.indices(count)?;
-                self.list(&indices, |c, i| c.token(i).map(Value::Text))?
+                self.list(&indices, |c, i| match kind {
+                    41 => c.token(i).map(Value::Text),
+                    _ => c.string(i).map(Value::Text),
+                })?
             }
+            (45, false) if !rep.is_inlined() => self.selection(rep)?,
             (31, false) => Value::Dictionary(if rep.is_inlined() { vec![] } else { self.entries(rep)? }),
             // Specifier and variability are enumerations.
             (42 | 44, false) => Value::Number(f64::from(rep.inlined()[0])),
-            // Of references, variants, payloads and splines only their presence matters.
-            (33 | 35 | 45 | 47 | 55 | 59, _) => Value::List(vec![]),
+            // Of splines only their presence matters.
+            (59, _) => Value::List(vec![]),
             (51, _) => Value::Blocked,
             _ => return Ok(None),
         }))
@@ -165,6 +196,29 @@ impl Crate<'_> {
             entries.push(Entry { type_name: type_name.to_owned(), key, value: value.unwrap_or(Value::Blocked) });
         }
         Ok(entries)
+    }
+
+    /// References, given as indices of a string with the other layer, empty for the same, and of a path.
+    fn references(&mut self, items: &[[u32; 2]]) -> Result<Value, Fault> {
+        let mut values = vec![];
+        for &[asset, path] in items {
+            let (asset, path) = (self.string(asset)?, self.path(path)?);
+            self.spend(PER_VALUE + (asset.len() + path.len()) / 8)?;
+            values.push(Value::Reference(asset, path));
+        }
+        Ok(Value::List(values))
+    }
+
+    /// Selected variants: pairs of strings, the names of a set and of its variant.
+    fn selection(&mut self, rep: Rep) -> Result<Value, Fault> {
+        let mut cursor = self.at(rep.payload())?;
+        let mut entries = vec![];
+        for _ in 0..cursor.count(8)? {
+            let (key, name) = (self.string(cursor.u32()?)?, self.string(cursor.u32()?)?);
+            self.spend(2 * PER_VALUE + (key.len() + name.len()) / 8)?;
+            entries.push(Entry { type_name: "string".to_owned(), key, value: Value::Text(name) });
+        }
+        Ok(Value::Dictionary(entries))
     }
 
     /// Times and values of an animated attribute; for arrays, only the first two.
@@ -249,6 +303,22 @@ impl Crate<'_> {
             }
         }
     }
+}
+
+/// Indices of the string and of the path with which a reference or a payload begins.
+fn reference(cursor: &mut Cursor<'_>) -> Result<[u32; 2], Fault> {
+    Ok([cursor.u32()?, cursor.u32()?])
+}
+
+/// Skips a dictionary that is part of another value.
+fn skip_dictionary(cursor: &mut Cursor<'_>) -> Result<(), Fault> {
+    // Each entry is an index and an offset, which leads to a value and on to the next entry.
+    for _ in 0..cursor.count(20)? {
+        cursor.take(4)?;
+        cursor.follow()?;
+        cursor.take(8)?;
+    }
+    Ok(())
 }
 
 fn values(number: Number, bytes: &[u8]) -> Value {
