@@ -201,12 +201,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
         edited.scene.composition.near = usual_near;
     }
     if edited.scene.splats.is_empty() && edited.scene.meshes.is_empty() {
-        let why = match inputs.iter().find_map(|input| Some((&input.file, input.notes.first()?))) {
-            _ if !edited.steps.is_empty() => " after removing".to_owned(),
-            // Notes are otherwise reported with the output, which does not exist here.
-            Some((file, note)) => format!(": {}: {note}", file.display()),
-            None => String::new(),
-        };
+        bar.finish_and_clear();
+        let is_removed = !edited.steps.is_empty();
+        if !is_removed {
+            // They say what was left out, and are otherwise printed with the output, which does not exist here.
+            print_notes(&inputs);
+        }
+        let why = if is_removed { " after removing" } else { "" };
         bail!("{}: expected something to write, found no splats and no meshes{why}", files.output.display());
     }
     if edited.source.as_ref().is_some_and(|s| files.format.is_gltf() && s.stands(&edited.scene, &edited.cameras)) {
@@ -244,11 +245,16 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if args.messages.json {
         return output::print_json(&outcome);
     }
-    for input in &inputs {
-        input.notes.iter().for_each(|note| output::note(&format!("{}: {note}", input.file.display())));
-    }
+    print_notes(&inputs);
     report.notes.iter().for_each(|note| output::note(&format!("{}: {note}", files.output.display())));
     output::print_lines(described(&outcome))
+}
+
+/// Prints the notes of all inputs.
+fn print_notes(inputs: &[Input]) {
+    for input in inputs {
+        input.notes.iter().for_each(|note| output::note(&format!("{}: {note}", input.file.display())));
+    }
 }
 
 /// Reads all inputs as one scene in the capture's frame, with notes.
@@ -266,6 +272,7 @@ fn read(
     };
     let (mut scenes, mut cameras, mut attributes, mut inputs) = (vec![], vec![], vec![], vec![]);
     let (mut document, mut record) = (None, None);
+    let mut copyrights: Vec<String> = vec![];
     for file in files {
         bar.set_message(format!("reading {}", one_line(&file.display().to_string())));
         let SceneFile {
@@ -280,7 +287,10 @@ fn read(
             record: own_record,
         } = format::read_file(file, &options)?;
         if let Some(source) = source.as_ref().filter(|_| !one) {
-            notes.extend(source.remainder().iter().map(|part| format!("left out on joining: {part}")));
+            let parts = source.remainder().iter().map(ToString::to_string);
+            let parts = parts.chain(source.extras_of_the_file().map(str::to_owned));
+            notes.extend(parts.map(|part| format!("left out on joining: {part}")));
+            copyrights.extend(source.copyright().map(str::to_owned).filter(|own| !copyrights.contains(own)));
         }
         let (splats, meshes) = (scene.splats.len(), scene.meshes.len());
         let (can_drop, dropped) = (dropped.is_some(), dropped.unwrap_or(0));
@@ -314,7 +324,8 @@ fn read(
         let overruled = overruled(input, own, &scene.composition);
         input.notes.extend(overruled.map(|what| format!("left out on joining: its own {what}")));
     }
-    Ok((Edited { scene, cameras, attributes, source: document, record, steps: vec![] }, inputs))
+    let copyright = (!copyrights.is_empty()).then(|| copyrights.join("; "));
+    Ok((Edited { scene, cameras, attributes, source: document, record, copyright, steps: vec![] }, inputs))
 }
 
 /// Says so where the second of two names, as shells make them of `scene*`, is that of a file, which is gone.
@@ -411,6 +422,7 @@ fn write(args: &Args, Files { inputs, output, format }: Files<'_>, edited: &Edit
         attributes: &edited.attributes,
         source: edited.source.as_ref(),
         record: edited.record.as_ref(),
+        copyright: edited.copyright.as_deref(),
         spz: spz::Options { version, ..spz::Options::default() },
     };
     let mut report = format::write_scene(&staged, &edited.scene, &options).map_err(|e| match e {
@@ -439,14 +451,11 @@ fn described(o: &Outcome<'_>) -> Vec<String> {
         }
     }
     for step in o.steps {
-        let mut parts = vec![];
-        if step.removed_splats > 0 || step.removed_triangles == 0 {
-            parts.push(counted(step.removed_splats, "splat"));
-        }
-        if step.removed_triangles > 0 {
-            parts.push(counted(step.removed_triangles, "triangle"));
-        }
-        lines.push(format!("{}: removed {}", step.step, parts.join(", ")));
+        let removed = [(step.removed_splats, "splat"), (step.removed_triangles, "triangle")];
+        let removed = removed.into_iter().filter(|(count, _)| *count > 0);
+        let removed: Vec<String> = removed.map(|(count, what)| counted(count, what)).collect();
+        let removed = if removed.is_empty() { "nothing".to_owned() } else { removed.join(", ") };
+        lines.push(format!("{}: removed {removed}", step.step));
     }
     let noted = o.inputs.iter().any(|input| !input.notes.is_empty());
     let also = if noted && o.loss.to_string() == Loss::default().to_string() { ", except as noted" } else { "" };

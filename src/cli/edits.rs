@@ -95,6 +95,8 @@ pub(super) struct Edited {
     pub(super) source: Option<Source>,
     /// Record of the training, if there is one.
     pub(super) record: Option<serde_json::Value>,
+    /// Copyright of a scene joined of several.
+    pub(super) copyright: Option<String>,
     pub(super) steps: Vec<Step>,
 }
 

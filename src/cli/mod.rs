@@ -28,7 +28,7 @@ use std::io::{self, Write as _};
 use std::process::ExitCode;
 
 use anyhow::{Context as _, Result};
-use centaur::format;
+use centaur::format::{self, FormatError};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 const FIRST_STEPS: &str = "\
@@ -121,7 +121,7 @@ pub(crate) fn main() -> ExitCode {
                 return ExitCode::from(stopped.exit_code);
             }
             // Nothing is left to be done if stderr is gone too.
-            let _ = writeln!(io::stderr(), "error: {}", one_line(&e));
+            let _ = writeln!(io::stderr(), "error: {}{}", one_line(&e), advice(&e));
             if usage::is_wrong(&e) {
                 ExitCode::from(WRONG_USAGE)
             } else if bench::is_left_to_another(&e) {
@@ -165,6 +165,13 @@ fn one_line(error: &anyhow::Error) -> String {
         }
     }
     line
+}
+
+/// What follows an error that does not say which rule a file breaks: the command that does.
+fn advice(error: &anyhow::Error) -> String {
+    let invalid = error.chain().find_map(|cause| cause.downcast_ref::<FormatError>()?.invalid_gltf());
+    let command = invalid.map(|file| format!("; `centaur validate {}` says more", shell::argument(file)));
+    command.map_or_else(String::new, |command| format::one_line(&command).into_owned())
 }
 
 #[cfg(test)]

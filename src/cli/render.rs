@@ -267,7 +267,10 @@ impl Args {
         if let Some(When::Span(start, end)) = self.time {
             let document = moving.with_context(|| {
                 let scene = self.scene.display();
-                format!("{scene}: --time START..END: expected an animated scene, found one without animation")
+                let is_played = file.source.as_ref().is_some_and(|document| !document.clips().is_empty());
+                let found =
+                    if is_played { "one whose animations move cameras at most" } else { "one without animation" };
+                format!("{scene}: --time START..END: expected an animated scene, found {found}")
             })?;
             let fps = sampling.fps.or(shot.fps).or(document.fps()).unwrap_or(DEFAULT_FPS);
             shot = span(shot, [start, end], fps)?;

@@ -46,12 +46,24 @@ pub enum FormatError {
 pub(super) const NO_CAMERAS: [&str; 2] =
     ["a file that can hold cameras: .glb, .gltf, .usda, .usdc, .usdz or .json", "cameras"];
 
+/// What is expected of a glTF where little more is known than that it is broken. See [`FormatError::invalid_gltf`].
+pub(super) const VALID_GLTF: &str = "valid glTF 2.0";
+
 impl FormatError {
     /// Whether nothing else is wrong with a file whose cameras were to be read than that it holds none. Cameras that cannot
     /// be read are another error, which gives the reason.
     #[must_use]
     pub fn is_lack_of_cameras(&self) -> bool {
         matches!(self, Self::Content { fault, .. } if NO_CAMERAS.contains(&fault.expected.as_str()))
+    }
+
+    /// File that is refused as no valid glTF 2.0 without the broken rule, which [`validate`](super::validate()) names.
+    #[must_use]
+    pub fn invalid_gltf(&self) -> Option<&Path> {
+        match self {
+            Self::Content { file, fault } if fault.expected == VALID_GLTF => Some(file.as_path()),
+            _ => None,
+        }
     }
 }
 

@@ -22,6 +22,7 @@ mod loss;
 mod map_budget;
 pub mod mesh_import;
 pub mod mitsuba;
+mod notes;
 mod placed;
 pub mod ply;
 mod polygon;

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::cameras::{ADVICE, CameraFile, Sampling};
 use super::content::Content;
 use super::error::{Fault, NO_CAMERAS};
+use super::notes::grouped;
 use super::{Attribute, Format, FormatError, ReadOptions, SplatFile, detect, gltf, ksplat, ply, sog, splat, spz, usd};
 use crate::scene::{Camera, Composition, HybridScene};
 
@@ -19,7 +20,8 @@ pub struct SceneFile {
     pub states_composition: bool,
     /// Named cameras, in the frame of the scene.
     pub cameras: Vec<(String, Camera)>,
-    /// Notes on content that could not be represented exactly, one sentence each.
+    /// Notes on content that could not be represented exactly, one sentence each; one of several places names the first
+    /// of them.
     pub notes: Vec<String>,
     /// Whether the world of the file is y up, as those of glTF and USD are: the scene and its cameras have been turned from it by
     /// [`OPENGL_FROM_OPENCV`](crate::scene::frame::OPENGL_FROM_OPENCV), and [`write_scene`](super::write_scene) turns them
@@ -43,7 +45,7 @@ impl SceneFile {
             scene,
             states_composition,
             cameras,
-            notes,
+            notes: grouped(&notes),
             y_up,
             attributes: vec![],
             dropped: None,

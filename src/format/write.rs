@@ -28,6 +28,8 @@ pub struct WriteOptions<'a> {
     /// that stands its own record stays, and another is named as lost; where the scene is written anew, this one takes
     /// its place.
     pub record: Option<&'a serde_json::Value>,
+    /// Copyright of a scene without `source`; glTF states it, elsewhere it is named as lost.
+    pub copyright: Option<&'a str>,
     /// SPZ layout.
     pub spz: spz::Options,
 }
@@ -91,7 +93,7 @@ fn write_gltf(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> R
             (bytes, loss)
         }
         None => {
-            let bytes = gltf::write_glb(path, scene, options.cameras, options.record.cloned())?;
+            let bytes = gltf::write_anew(path, scene, options.cameras, (options.record.cloned(), options.copyright))?;
             (bytes, of_linear_values(&scene.splats))
         }
     };
@@ -108,7 +110,7 @@ fn write_usd(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Re
 
 fn write_mitsuba(path: &Path, scene: &HybridScene, options: &WriteOptions<'_>) -> Result<WriteReport, FormatError> {
     let report = mitsuba::write(path, scene, options.cameras)?;
-    Ok(exported(report, options.source))
+    Ok(exported(report, options, options.source))
 }
 
 fn write_blend_script(
@@ -122,13 +124,13 @@ fn write_blend_script(
     let mut report = blender::write(path, scene, options.cameras, moving)?;
     report.notes.extend(moving.and_then(|(moving, _)| moving.overruled()));
     report.notes.extend(broken.map(|fault| format!("nothing is animated, because an animation is malformed: {fault}")));
-    Ok(exported(report, options.source.filter(|_| moving.is_none())))
+    Ok(exported(report, options, options.source.filter(|_| moving.is_none())))
 }
 
-/// Adds the loss of the animations of `still`, a document whose scene keeps still in a rendering program. Loss means
-/// there what images lack: exports are not read back as scenes.
-fn exported(report: WriteReport, still: Option<&gltf::Source>) -> WriteReport {
-    let document = still.map_or_else(Vec::new, gltf::Source::motion);
+/// Adds the loss of what concerns the file as a whole, and of the animations of `still`, a document whose scene keeps
+/// still in a rendering program. Loss means there besides what images lack: exports are not read back as scenes.
+fn exported(report: WriteReport, options: &WriteOptions<'_>, still: Option<&gltf::Source>) -> WriteReport {
+    let document = [still.map_or_else(Vec::new, gltf::Source::motion), of_the_file(options)].concat();
     WriteReport { loss: Loss { document, ..report.loss }, ..report }
 }
 
@@ -172,7 +174,15 @@ fn not_in_scene(source: &gltf::Source) -> Vec<String> {
 
 /// Parts of the document, if there is one, that only a glTF could hold.
 fn whole_document(options: &WriteOptions<'_>) -> Vec<String> {
-    options.source.map_or_else(Vec::new, |source| [not_in_scene(source), source.of_the_file()].concat())
+    [options.source.map_or_else(Vec::new, not_in_scene), of_the_file(options)].concat()
+}
+
+/// What of the file as a whole only a glTF could hold.
+fn of_the_file(options: &WriteOptions<'_>) -> Vec<String> {
+    match options.source {
+        Some(source) => source.of_the_file(),
+        None => options.copyright.map(|_| gltf::COPYRIGHT.to_owned()).into_iter().collect(),
+    }
 }
 
 fn names(attributes: &[Attribute]) -> Vec<String> {

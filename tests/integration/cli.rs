@@ -277,6 +277,20 @@ fn a_ply_of_something_else_is_inspected() {
     assert!(line.starts_with("error: bad.ply: byte "), "{line}");
 }
 
+#[test]
+fn what_is_no_valid_gltf_is_left_to_validation() {
+    let folder = tempfile::tempdir().unwrap();
+    let document =
+        r#"{ "asset": { "version": "2.0" }, "meshes": [{ "primitives": [{ "attributes": {}, "material": 7 }] }] }"#;
+    std::fs::write(folder.path().join("a b.gltf"), document).unwrap();
+    let name = if cfg!(windows) { "\"a b.gltf\"" } else { "'a b.gltf'" };
+    let said = format!("found index out of bounds; `centaur validate {name}` says more");
+    for args in [&["inspect", "a b.gltf"][..], &["convert", "a b.gltf", "c.usda"]] {
+        let line = failure(folder.path(), args);
+        assert!(line.ends_with(&said), "{line}");
+    }
+}
+
 /// Names in files, and names of files, can contain anything.
 #[test]
 fn names_cannot_move_the_cursor() {

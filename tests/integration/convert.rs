@@ -162,8 +162,6 @@ fn refusals_are_one_line_and_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     write_hybrid(&folder.path().join("h.glb"));
     std::fs::write(folder.path().join("notes.txt"), "not a scene").unwrap();
-    let usda = "#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\ndef PointInstancer \"P\"\n{\n}\n";
-    std::fs::write(folder.path().join("copies.usda"), usda).unwrap();
     for (args, expected) in [
         ("none.ply b.glb", "error: none.ply: cannot read: No such file or directory"),
         ("h.glb none/b.glb", "error: none/b.glb: cannot write: folder none: No such file or directory"),
@@ -171,16 +169,67 @@ fn refusals_are_one_line_and_leave_nothing() {
             "h.glb b.glb --keep-sphere 99,99,99,1",
             "error: b.glb: expected something to write, found no splats and no meshes after removing",
         ),
-        (
-            "copies.usda b.glb",
-            "error: b.glb: expected something to write, found no splats and no meshes: copies.usda: 1 prim of type PointInstancer left out, with all below",
-        ),
         ("h.glb b.ply --min-opacity 1", "error: b.ply: expected splats for a .ply, found meshes alone"),
         ("h.glb b.glb --scale 1e300", "error: moving the scene: near: expected a positive number, found inf"),
     ] {
         assert_eq!(failure(folder.path(), args), expected);
     }
     assert!(failure(folder.path(), "h.glb notes.txt b.glb").starts_with("error: notes.txt: byte 0: expected a "));
+}
+
+#[test]
+fn where_nothing_is_left_all_notes_say_what_was_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let usda = "#usda 1.0\n(\n    upAxis = \"Y\"\n)\ndef PointInstancer \"P\"\n{\n}\n";
+    std::fs::write(folder.path().join("copies.usda"), usda).unwrap();
+    let output = common::centaur(folder.path()).args(["convert", "copies.usda", "b.glb"]).output().unwrap();
+    let said = stderr(&output);
+    let (notes, error) = said.trim_end().rsplit_once('\n').unwrap();
+    assert_eq!(error, "error: b.glb: expected something to write, found no splats and no meshes");
+    assert!(notes.contains("note: copies.usda: 1 prim of type PointInstancer left out, with all below"), "{notes}");
+    assert!(output.status.code() == Some(1) && notes.lines().all(|line| line.starts_with("note: ")), "{notes}");
+}
+
+#[test]
+fn steps_that_remove_nothing_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    write_hybrid(&folder.path().join("h.glb"));
+    let said = convert(folder.path(), "h.glb m.glb --min-opacity 1");
+    assert!(said.starts_with("min-opacity: removed 10 splats\n"), "{said}");
+    let said = convert(folder.path(), "m.glb n.glb --keep-sphere 0,0,0,99 --decimate 50%");
+    assert!(said.starts_with("crop: removed nothing\ndecimate: removed nothing\n"), "{said}");
+    let said = convert(folder.path(), "m.glb h.glb -o n.glb --no-mesh");
+    assert!(said.starts_with("no-mesh: removed 2 triangles\n"), "{said}");
+}
+
+#[test]
+fn joined_files_keep_their_copyrights_and_name_their_extras_as_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_hybrid(&at("h.glb"));
+    ply::write(&at("a.ply"), &splats(2, 1)).unwrap();
+    convert(folder.path(), "h.glb h.gltf");
+    let json = |name: &str| -> serde_json::Value { serde_json::from_slice(&std::fs::read(at(name)).unwrap()).unwrap() };
+    for (name, copyright) in [("us.gltf", "us"), ("them.gltf", "them")] {
+        let mut document = json("h.gltf");
+        document["asset"]["copyright"] = copyright.into();
+        if name == "us.gltf" {
+            document["extras"] = serde_json::json!({ "of": "root" });
+        }
+        std::fs::write(at(name), document.to_string()).unwrap();
+    }
+    let extras = "us.gltf: left out on joining: extras of the file";
+    let said = convert(folder.path(), "us.gltf a.ply us.gltf them.gltf -o all.gltf");
+    assert!(said.starts_with("lost: nothing, except as noted\n") && said.contains(extras), "{said}");
+    assert_eq!(json("all.gltf")["asset"]["copyright"], "us; them");
+    let line = failure(folder.path(), "us.gltf a.ply strict.gltf --strict");
+    assert!(line.starts_with("error: us.gltf: --strict: ") && line.ends_with("extras of the file"), "{line}");
+    convert(folder.path(), "them.gltf a.ply -o two.gltf --strict");
+    assert_eq!(json("two.gltf")["asset"]["copyright"], "them");
+    for output in ["b.ply", "c.usda", "d.xml", "e.blend.py"] {
+        let said = convert(folder.path(), &format!("them.gltf a.ply -o {output}"));
+        assert!(said.lines().any(|line| line.starts_with("lost: ") && line.contains("the copyright")), "{said}");
+    }
 }
 
 #[test]

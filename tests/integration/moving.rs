@@ -342,6 +342,11 @@ fn pictures_are_of_their_time() {
     run(folder.path(), "convert a.gltf still.glb --time 0");
     let error = failure(folder.path(), "render still.glb -o no --time 0..1");
     assert!(error.ends_with("--time START..END: expected an animated scene, found one without animation"), "{error}");
+    let mut document: Value = serde_json::from_str(&text).unwrap();
+    document["animations"][0]["channels"][0]["target"]["node"] = json!(1);
+    std::fs::write(folder.path().join("view.gltf"), document.to_string()).unwrap();
+    let error = failure(folder.path(), "render view.gltf -o no --time 0..1");
+    assert!(error.ends_with("an animated scene, found one whose animations move cameras at most"), "{error}");
     let said = as_json(folder.path(), "render still.glb -o still --time 1")["notes"].to_string();
     assert!(said.contains("at 1 s the scene is in its rest pose"), "{said}");
     std::fs::write(folder.path().join("p.ply"), "ply\n").unwrap();

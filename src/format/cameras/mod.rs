@@ -19,6 +19,7 @@ use std::path::{Component, Path, PathBuf};
 pub(super) use self::colmap::write as write_model;
 pub(super) use self::transforms::write as write_transforms;
 use super::error::{Fault, some_of};
+use super::notes::grouped;
 use crate::scene::{Camera, frame};
 
 /// Cameras in display order.
@@ -182,7 +183,7 @@ pub(super) fn chosen(
         };
         cameras.extend(frames.into_iter().enumerate().map(|(i, camera)| (of_frame(i), camera)));
     }
-    Ok(CameraFile { cameras, fps, y_up, times, notes, ..CameraFile::default() })
+    Ok(CameraFile { cameras, fps, y_up, times, notes: grouped(&notes), ..CameraFile::default() })
 }
 
 /// Number of frames from `start` to `end`, in seconds, both included; `None` if there are more than [`MAX_FRAMES`], or

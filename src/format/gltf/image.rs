@@ -2,7 +2,8 @@
 
 use std::io::Cursor;
 
-use image::ImageDecoder as _;
+use image::error::LimitErrorKind;
+use image::{ImageDecoder as _, ImageError};
 
 use super::extension::WEBP;
 use super::lift::Asset;
@@ -71,15 +72,28 @@ pub(in crate::format) fn media_type(content: &[u8]) -> Option<&'static str> {
 /// Expectation stated where an image is missing or unreadable.
 const IMAGE: &str = "a PNG, JPEG or WebP image";
 
+/// Expectation and finding for an image that cannot be decoded.
+fn undecodable(error: &ImageError) -> (String, String) {
+    match error {
+        ImageError::Limits(limit) if limit.kind() == LimitErrorKind::DimensionError => {
+            let expected = format!("{IMAGE} of at most {} pixels along each side", Texture::MAX_SIDE);
+            (expected, "a larger one".to_owned())
+        }
+        ImageError::Limits(limit) if limit.kind() == LimitErrorKind::InsufficientMemory => {
+            (format!("{IMAGE} with at most {MAX_BESIDE_PIXELS} bytes besides its pixels"), "more".to_owned())
+        }
+        _ => (IMAGE.to_owned(), error.to_string()),
+    }
+}
+
 /// Decodes a PNG (8 or 16 bit), JPEG or `WebP`. On failure: expectation and finding.
 pub(in crate::format) fn decode(encoded: Vec<u8>) -> Result<Texels, (String, String)> {
-    let undecodable = |e: &dyn std::fmt::Display| (IMAGE.to_owned(), e.to_string());
     let (encoded_bytes, ratio, identity) = (encoded.len() as u64, max_pixel_ratio(&encoded), identity(&encoded));
     if encoded.starts_with(b"RIFF") {
         return webp_texels(&encoded, identity);
     }
-    let mut reader =
-        image::ImageReader::new(Cursor::new(encoded)).with_guessed_format().map_err(|e| undecodable(&e))?;
+    let reader = image::ImageReader::new(Cursor::new(encoded)).with_guessed_format();
+    let mut reader = reader.map_err(|e| undecodable(&ImageError::IoError(e)))?;
     let mut limits = image::Limits::default();
     limits.max_image_width = Some(Texture::MAX_SIDE);
     limits.max_image_height = Some(Texture::MAX_SIDE);
@@ -147,6 +161,13 @@ mod tests {
         assert_eq!(media_type(avif), Some("image/avif"));
         assert_eq!(media_type(&black_png(1, 1)), Some("image/png"));
         assert_eq!((media_type(b"DDS |"), media_type(b"GIF89a")), (Some("image/vnd-ms.dds"), None));
+    }
+
+    #[test]
+    fn the_largest_side_is_named_where_one_is_longer() {
+        let (expected, found) = decode(black_png(60_000, 1)).err().unwrap();
+        let limit = "a PNG, JPEG or WebP image of at most 16384 pixels along each side";
+        assert_eq!((&*expected, &*found), (limit, "a larger one"));
     }
 
     #[test]

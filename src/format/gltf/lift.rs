@@ -23,7 +23,7 @@ use super::integers::write_as_integers;
 use super::json::{index, indices, items, items_mut, primitives, primitives_mut, remove, strings};
 use super::uri::open_once;
 use super::{glb, meshopt};
-use crate::format::error::{Fault, FormatError, from_json, from_value, read_file, shown};
+use crate::format::error::{Fault, FormatError, VALID_GLTF, from_json, from_value, read_file, shown};
 
 /// Attributes not defined by the core, by (mesh, primitive): name → accessor.
 type Attributes = HashMap<(usize, usize), BTreeMap<String, usize>>;
@@ -297,9 +297,9 @@ fn core(root: &Value) -> Result<Core, Fault> {
     let document = gltf::Document::from_json(core).map_err(|e| match e {
         gltf::Error::Validation(faults) if !faults.is_empty() => {
             let (path, error) = &faults[0];
-            Fault::pointer(rfc6901(path.as_str()), "valid glTF 2.0", error.to_string().to_lowercase())
+            Fault::pointer(rfc6901(path.as_str()), VALID_GLTF, error.to_string().to_lowercase())
         }
-        other => Fault::pointer("/", "valid glTF 2.0", other.to_string()),
+        other => Fault::pointer("/", VALID_GLTF, other.to_string()),
     })?;
     Ok(Core { document, attributes, unplaced })
 }

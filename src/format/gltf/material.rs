@@ -370,7 +370,7 @@ fn placed_from(
             Some((texels, uv))
         }
         Err(fault) => {
-            notes.push(format!("{at} is left out: {fault}"));
+            notes.push(format!("{at}: left out: {fault}"));
             None
         }
     }

@@ -233,12 +233,12 @@ fn pictures_of_the_core_that_cannot_be_had_are_left_out() {
             "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
             "materials": [{
                 "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "baseColorFactor": [0.5, 1, 1, 1] },
-                "extensions": { "KHR_materials_unlit": {} },
+                "doubleSided": true, "extensions": { "KHR_materials_unlit": {} },
             }],
             "textures": [{ "source": 0 }], "images": [image],
         }));
         let file = file.unwrap();
-        let said = format!("/materials/0/pbrMetallicRoughness/baseColorTexture is left out: {reason}");
+        let said = format!("/materials/0/pbrMetallicRoughness/baseColorTexture: left out: {reason}");
         assert!(file.notes.len() == 1 && file.notes[0].starts_with(&said), "{:?}", file.notes);
         // Half the linear light is 0.735 in sRGB.
         near(&shown(&file.scene.meshes[0], 0), &[0.735_357, 1.0, 1.0, 1.0], 1e-5);
@@ -325,7 +325,7 @@ fn diffuse_colours_take_the_place_of_base_colours() {
     let (colour, _, notes) =
         read(json!({ "diffuseFactor": [1, 0, 0, 1], "diffuseTexture": texture(7) }), json!([0, 0, 0]));
     near(&colour, &[1.0, 0.0, 0.0, 1.0], 1e-5);
-    let said = "/materials/0/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture is left out: /textures/7: ";
+    let said = "/materials/0/extensions/KHR_materials_pbrSpecularGlossiness/diffuseTexture: left out: /textures/7: ";
     assert!(notes[1].starts_with(said), "{notes:?}");
 }
 
@@ -337,7 +337,7 @@ fn what_repeats_too_often_repeats_at_a_lower_resolution() {
     let transform = json!({ "KHR_texture_transform": { "scale": [5000, 1] } });
     let material = json!({
         "pbrMetallicRoughness": { "baseColorTexture": { "index": 0, "extensions": transform } },
-        "extensions": { "KHR_materials_unlit": {} },
+        "doubleSided": true, "extensions": { "KHR_materials_unlit": {} },
     });
     let file = pictured(&b, view, &[json!({ "attributes": attributes, "material": 0 })], &material, &json!({}));
     let said = "/materials/0: a texture that repeats too often is repeated at a lower resolution, 2×1";
@@ -389,7 +389,8 @@ fn samplers_of_sharp_texels_are_noted() {
     let view = b.view(&png_of(2, 2, |x, y| [(255 * x) as u8, (255 * y) as u8, 0, 255]));
     let primitives = [json!({ "attributes": attributes, "material": 0 })];
     let unlit = json!({
-        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } }, "extensions": { "KHR_materials_unlit": {} },
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 } },
+        "doubleSided": true, "extensions": { "KHR_materials_unlit": {} },
     });
     let note = "/textures/0: its sampler's NEAREST is read as linear filtering";
     assert_eq!(pictured(&b, view, &primitives, &unlit, &json!({ "magFilter": 9728 })).notes, [note]);
@@ -499,12 +500,35 @@ fn unlit_materials_are_taken_over_without_a_note() {
     let document = |extensions: Value| {
         json!({
             "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }],
-            "materials": [{ "extensions": extensions, "pbrMetallicRoughness": { "baseColorFactor": [0.2, 0.4, 0.6, 1] } }],
+            "materials": [{
+                "doubleSided": true, "extensions": extensions,
+                "pbrMetallicRoughness": { "baseColorFactor": [0.2, 0.4, 0.6, 1] },
+            }],
             "extensionsUsed": ["KHR_materials_unlit"],
         })
     };
     assert!(b.read(document(json!({ "KHR_materials_unlit": {} }))).unwrap().notes.is_empty());
     assert_eq!(b.read(document(json!({}))).unwrap().notes, ["/materials/0: only its base colour is shown, unlit"]);
+}
+
+#[test]
+fn materials_of_one_side_are_counted_where_they_are_drawn() {
+    let (b, attributes) = triangle();
+    let drawn = |material: usize, mode: u32| json!({ "attributes": attributes, "material": material, "mode": mode });
+    let unlit = |mode: &str, is_double_sided: bool| {
+        let extensions = json!({ "KHR_materials_unlit": {} });
+        json!({ "alphaMode": mode, "doubleSided": is_double_sided, "extensions": extensions })
+    };
+    let materials = [unlit("OPAQUE", false), unlit("BLEND", false), unlit("OPAQUE", true)];
+    let notes = |primitives: &[Value]| {
+        b.read(json!({ "meshes": [{ "primitives": primitives }], "materials": materials })).unwrap().notes
+    };
+    let said = "drawn from both sides: glTF hides the backs of such surfaces";
+    let all = [drawn(0, 4), drawn(1, 4), drawn(2, 4), drawn(0, 4)];
+    assert_eq!(notes(&all), [format!("2 single-sided materials are {said}")]);
+    assert_eq!(notes(&all[..1]), [format!("1 single-sided material is {said}")]);
+    let lines = "/nodes/0: a primitive that is neither triangles nor splats is left out";
+    assert_eq!(notes(&[drawn(0, 1), drawn(2, 4)]), [lines]);
 }
 
 /// As written by Blender for a picture that is connected to the emission, and for a lamp; a material with a base colour
@@ -568,7 +592,8 @@ fn colours_of_vertices_become_a_map() {
         b.read(json!({ "meshes": [{ "primitives": [{ "attributes": attributes, "material": 0 }] }], "materials": [material] }))
     };
     let file = read(&b).unwrap();
-    assert!(file.notes.is_empty(), "{:?}", file.notes);
+    let said = "/nodes/0: texture coordinates are replaced by those of the map of its vertex colours";
+    assert_eq!(file.notes, [said]);
     let mesh = &file.scene.meshes[0];
     let width = mesh.atlas().base().width() as f32;
     for (uv, colour) in
@@ -581,6 +606,7 @@ fn colours_of_vertices_become_a_map() {
     b.bytes.truncate(b.bytes.len() - 12);
     b.bytes.extend([255, 255, 255, 51].repeat(3));
     let file = read(&b).unwrap();
+    assert!(file.notes.is_empty(), "{:?}", file.notes);
     let mesh = &file.scene.meshes[0];
     assert_eq!(mesh.atlas().floats(), 4);
     near(&shown(mesh, 0), &[1.0, 1.0, 1.0, 0.2], 1e-6);

@@ -47,6 +47,8 @@ pub(super) struct Meshes<'a> {
     /// Transform from glTF's frame to the scene's.
     frame: DMat4,
     maps: HashMap<Option<usize>, Maps>,
+    /// Those of them that are single-sided in the file.
+    single_sided: HashSet<Option<usize>>,
     /// Maps of textured materials multiplied by a colour; `tinted_floats`: their number of floats.
     tinted: HashMap<(Option<usize>, Tint), Atlas>,
     tinted_floats: u64,
@@ -108,6 +110,7 @@ impl<'a> Meshes<'a> {
             stated_layers,
             frame: frame_of(&asset.document),
             maps: HashMap::new(),
+            single_sided: HashSet::new(),
             tinted: HashMap::new(),
             tinted_floats: 0,
             budget: MapBudget::new(asset.buffer_bytes() as u64),
@@ -145,6 +148,7 @@ impl<'a> Meshes<'a> {
             self.asset.spend(geometry.positions.len() as u64 * 12, &at)?;
             geometry = geometry.of_used_vertices();
         }
+        check_positions(&geometry, node, primitive)?;
         let Some(copies) = copies else {
             self.take((node, transform), primitive, geometry, notes)?;
             return Ok(true);
@@ -244,8 +248,8 @@ impl<'a> Meshes<'a> {
         if !self.maps.contains_key(&index) {
             let maps = material::maps(self.asset, material, self.space, (&mut self.budget, &mut self.made), notes)?;
             let name = index.map_or(String::new(), |i| format!("/materials/{i}: "));
-            if material.alpha_mode() != AlphaMode::Opaque && !material.double_sided() {
-                notes.push(format!("{name}single-sided, but drawn from both sides"));
+            if !material.double_sided() {
+                self.single_sided.insert(index);
             }
             if material.alpha_mode() == AlphaMode::Mask && self.stated_layers == Some(1) && has_holes(&maps.atlas) {
                 notes.push(format!(
@@ -303,6 +307,11 @@ impl<'a> Meshes<'a> {
                     ));
                 }
                 None => {
+                    if uvs.is_some() {
+                        notes.push(format!(
+                            "{at}: texture coordinates are replaced by those of the map of its vertex colours"
+                        ));
+                    }
                     let texels: Vec<[f32; 4]> = colors.iter().map(|c| base.texel(*c)).collect();
                     let (texture, uvs) = vertex_color::atlas(&texels, triangles).map_err(|fault| fault.under(&at))?;
                     group.corner_uvs = uvs;
@@ -350,7 +359,18 @@ impl<'a> Meshes<'a> {
         Ok((index, first))
     }
 
+    /// Says so where what is drawn has materials of one side, whatever is on the other.
+    fn sides(&self) -> Option<String> {
+        let drawn: HashSet<Option<usize>> = self.groups.iter().map(|group| group.material).collect();
+        let count = self.single_sided.intersection(&drawn).count();
+        let materials = if count == 1 { "material is" } else { "materials are" };
+        (count > 0).then(|| {
+            format!("{count} single-sided {materials} drawn from both sides: glTF hides the backs of such surfaces")
+        })
+    }
+
     pub(super) fn finish(self, notes: &mut Vec<String>) -> Result<Finished, Fault> {
+        notes.extend(self.sides());
         let (mut meshes, mut rest_surfaces, mut unrolling) = (vec![], vec![], Unrolling::default());
         for mut group in self.groups {
             let maps = &self.maps[&group.material];
@@ -372,6 +392,21 @@ impl<'a> Meshes<'a> {
         }
         Ok(Finished { meshes, rest_surfaces, poses: self.poses, bindable: self.bindable })
     }
+}
+
+/// Rejects positions that are not finite, at the attribute if they are stored so, else at the node that makes them so.
+fn check_positions(geometry: &Triangles, node: &gltf::Node<'_>, primitive: &gltf::Primitive<'_>) -> Result<(), Fault> {
+    let Some(i) = geometry.positions.iter().position(|position| !position.is_finite()) else { return Ok(()) };
+    let (mesh, primitive) = (node.mesh().map_or(0, |m| m.index()), primitive.index());
+    let stored = geometry.rest_surface.base[i];
+    let (at, wrong) = if stored.is_finite() {
+        (format!("/nodes/{}", node.index()), geometry.positions[i])
+    } else {
+        (format!("/meshes/{mesh}/primitives/{primitive}/attributes/POSITION"), stored)
+    };
+    let number = wrong.to_array().into_iter().find(|v| !v.is_finite()).unwrap_or_default();
+    let vertex = geometry.stored.kept.as_ref().map_or(i, |kept| kept[i]);
+    Err(Fault::pointer(at, "positions of finite numbers", format!("{number} at vertex {vertex}")))
 }
 
 fn positions_of(primitive: &gltf::Primitive<'_>) -> Option<usize> {

@@ -18,7 +18,8 @@
 //! | bindings of splats | what splats follow in other poses; in the rest pose splats are as they are stored; those that do not hold are ignored, with a note |
 //! | deformation fields | nothing, with a note |
 //! | materials | the hybrid extension's maps, else the base colour (by `KHR_materials_pbrSpecularGlossiness` the diffuse colour), or the emission of what is black or has no other picture, unlit; `alphaMode`, `KHR_texture_transform` and repeats are drawn into maps; pictures of the core that cannot be had are left out, with a note |
-//! | `COLOR_0` | a map; beside a texture a factor where it is one colour, else it is left out, with a note |
+//! | single-sided materials | seen from both sides, with a note |
+//! | `COLOR_0` | a map, with a note if its texture coordinates replace others; beside a texture a factor where it is one colour, else it is left out, with a note |
 //! | splats | attributes in any component type the extension allows, or SPZ (`KHR_gaussian_splatting_compression_spz_2`) |
 //! | cameras | pinholes; orthographic ones are left out, with a note |
 //!
@@ -58,7 +59,6 @@ mod moving_tests;
 mod nodes;
 #[cfg(test)]
 mod nodes_tests;
-mod notes;
 mod pose;
 mod read;
 mod remainder;
@@ -93,6 +93,7 @@ pub(super) use pose::Poses;
 pub(super) use read::{not_placed, scene as scene_of};
 pub use remainder::{Remnant, Role};
 pub(super) use sizes::{Sizes, sizes};
+pub(super) use source::COPYRIGHT;
 pub use source::Source;
 pub(super) use transform::{is_ours, placements};
 pub(super) use tree::document as describe;
@@ -122,8 +123,24 @@ pub fn write_glb(
     cameras: &[(String, Camera)],
     extras: Option<serde_json::Value>,
 ) -> Result<u64, FormatError> {
+    write_anew(path, scene, cameras, (extras, None))
+}
+
+/// As [`write_glb`], with extras and a copyright.
+///
+/// # Errors
+/// Those of [`write_glb`].
+pub(super) fn write_anew(
+    path: &Path,
+    scene: &HybridScene,
+    cameras: &[(String, Camera)],
+    (extras, copyright): (Option<serde_json::Value>, Option<&str>),
+) -> Result<u64, FormatError> {
     scene.composition.validate().map_err(|e| Fault::from(e).in_file(path))?;
-    let (document, bin) = write::layout(scene, cameras, extras);
+    let (mut document, bin) = write::layout(scene, cameras, extras);
+    if let Some(copyright) = copyright {
+        document["asset"]["copyright"] = copyright.into();
+    }
     container::write(path, document, &bin)
 }
 

@@ -27,6 +27,9 @@ use crate::format::error::FormatError;
 use crate::format::placed::similarity;
 use crate::scene::{Camera, Composition, HybridScene, SceneError, frame::HALF_TURN};
 
+/// The copyright of a file, in words.
+pub(in crate::format) const COPYRIGHT: &str = "the copyright";
+
 /// The glTF document from which a scene was read. The scene holds what is rendered; animations, skins, morph targets,
 /// lights, full materials, names, extras and unknown extensions are in the document only.
 ///
@@ -157,13 +160,24 @@ impl Source {
         &self.remainder
     }
 
+    /// Copyright that the document states.
+    #[must_use]
+    pub fn copyright(&self) -> Option<&str> {
+        self.root.pointer("/asset/copyright")?.as_str()
+    }
+
+    /// Extras of asset, document and scene besides our own, in words, if there are any.
+    #[must_use]
+    pub fn extras_of_the_file(&self) -> Option<&'static str> {
+        let scene = format!("/scenes/{}", self.scene());
+        let mut objects = ["/asset", "", &scene].into_iter().filter_map(|path| self.root.pointer(path));
+        objects.any(has_extras).then_some("extras of the file")
+    }
+
     /// File-level metadata, in words, that is carried over to another glTF if the document is not written again.
     pub(in crate::format) fn of_the_file(&self) -> Vec<String> {
-        let at = |path: &str| self.root.pointer(path);
-        let scene = format!("/scenes/{}", self.scene());
-        let has_extras = ["/asset", "", &scene].into_iter().filter_map(at).any(has_extras);
-        let parts = [(at("/asset/copyright").is_some(), "the copyright"), (has_extras, "extras of the file")];
-        parts.into_iter().filter(|part| part.0).map(|part| part.1.to_owned()).collect()
+        let parts = [self.copyright().map(|_| COPYRIGHT), self.extras_of_the_file()];
+        parts.into_iter().flatten().map(str::to_owned).collect()
     }
 
     /// Images, in words, that the document refers to but that were not found: a document that is written again still

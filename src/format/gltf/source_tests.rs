@@ -464,11 +464,16 @@ fn the_copyright_and_extras_of_the_file_are_lost_elsewhere() {
         write_scene(&at(name), &file.scene, &options).unwrap().loss.document
     };
     let ours = json!({ "version": "2.0", "extras": { EXTRAS: { "psnr": 30.5 } } });
-    assert_eq!(lost(&document(ours, json!({ "nodes": [0] })), "b.usda"), Vec::<String>::new());
+    let ours = document(ours, json!({ "nodes": [0] }));
+    for name in ["b.usda", "b.xml", "b.blend.py"] {
+        assert_eq!(lost(&ours, name), Vec::<String>::new(), "{name}");
+    }
     let theirs = json!({ "version": "2.0", "copyright": "us" });
     let theirs = document(theirs, json!({ "nodes": [0], "extras": { "of": "scene" } }));
     assert_eq!(lost(&theirs, "b.usda"), ["the copyright", "extras of the file"]);
-    assert_eq!(lost(&theirs, "b.ply"), ["the copyright", "extras of the file"]);
+    for name in ["b.ply", "b.xml", "b.blend.py"] {
+        assert_eq!(lost(&theirs, name), ["the copyright", "extras of the file"], "{name}");
+    }
     assert_eq!(lost(&theirs, "b.glb"), Vec::<String>::new());
 }
 

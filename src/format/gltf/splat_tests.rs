@@ -204,6 +204,17 @@ fn colour_spaces_differ_where_the_scene_states_none() {
     );
 }
 
+#[test]
+fn indices_of_splats_are_ignored_and_said() {
+    let (mut b, attributes) = splats(false);
+    let indices = b.accessor(5121, "SCALAR", 1, &[1]);
+    let mut document = splat_document(&attributes, khr());
+    document["meshes"][0]["primitives"][0]["indices"] = json!(indices);
+    let file = b.read(document).unwrap();
+    let said = "/meshes/0/primitives/0/indices: ignored: every splat of the attributes is shown once";
+    assert_eq!((file.scene.splats.len(), &file.notes[..]), (2, &[said.to_owned()][..]));
+}
+
 /// An unknown compression extension provides the content that the accessors describe.
 #[test]
 fn splats_without_data_are_refused_beside_what_is_unknown() {

@@ -71,6 +71,9 @@ pub(super) fn read(
     if primitive.mode() != gltf::mesh::Mode::Points {
         return Err(Fault::pointer(format!("{at}/mode"), "0 (POINTS)", format!("{:?}", primitive.mode())));
     }
+    if primitive.indices().is_some() {
+        notes.push(format!("{at}/indices: ignored: every splat of the attributes is shown once"));
+    }
     let is_empty = asset.positions(id, primitive).is_some_and(|positions| !asset.is_stored(&positions));
     for name in khr.extensions.keys().filter(|name| ![HYBRID, SPZ].contains(&name.as_str())) {
         if is_empty && !khr.extensions.contains_key(SPZ) {

@@ -12,6 +12,7 @@ use super::content::Content;
 use super::error::file_bytes;
 use super::gltf::{self, Asset, Sizes, scene_of};
 use super::length::stored_bytes;
+use super::notes::grouped;
 use super::validate::unknown_properties;
 use super::{Format, FormatError, ReadOptions, detect, ply, read_file, usd};
 use crate::scene::{self, Camera, Composition, HybridScene, Mesh, PixelFilter, Splats};
@@ -129,7 +130,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
             let scene = scene_of(&asset).and_then(Content::in_capture_frame);
             let is_scene = scene.is_ok();
             let (scene, stated, cameras, mut warnings) = match scene {
-                Ok(file) => (file.scene, file.states_composition, file.cameras, file.notes),
+                Ok(file) => (file.scene, file.states_composition, file.cameras, grouped(&file.notes)),
                 Err(fault) => {
                     let none =
                         HybridScene { splats: Splats::empty(0), meshes: vec![], composition: Composition::default() };
@@ -162,7 +163,7 @@ pub fn inspect(path: &Path) -> Result<Summary, FormatError> {
                 optics: optics(&file.cameras),
                 composition: composition(&file.scene, file.states_composition),
                 bytes_by_part: parts.into_iter().filter(|(_, bytes)| *bytes > 0).collect(),
-                warnings: file.notes,
+                warnings: grouped(&file.notes),
                 ..summary(path, format, bytes, &file.scene)
             })
         }

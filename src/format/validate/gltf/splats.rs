@@ -21,6 +21,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
             if mode != 0 {
                 findings.error("SPLAT_MODE", format!("{at}/mode"), "0 (POINTS)", mode);
             }
+            check_indices(primitive, &at, findings);
             // Compressed splats store their attributes elsewhere, and other kernels have other attributes.
             let nested = khr.get("extensions").and_then(Value::as_object);
             let compressed = nested.is_some_and(|names| names.keys().any(|name| name != HYBRID));
@@ -34,6 +35,14 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
                 check_fallback(document, attributes, khr, &format!("{at}/attributes"), findings);
             }
         }
+    }
+}
+
+/// Warns of indices, which select nothing: splats are the elements of their attributes.
+fn check_indices(primitive: &Value, at: &str, findings: &mut Findings) {
+    if let Some(accessor) = primitive.get("indices") {
+        let expected = "none: every splat of the attributes is shown once";
+        findings.warning("SPLAT_INDICES", format!("{at}/indices"), expected, accessor);
     }
 }
 

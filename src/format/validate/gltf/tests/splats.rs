@@ -9,6 +9,10 @@ pub(super) const PLANTED: &[Planted] = &[
         drop(primitive(f, SPLATS)["extensions"][KHR].as_object_mut().unwrap().remove("colorSpace"));
     }),
     ("SPLAT_MODE", "/mode", |f| primitive(f, SPLATS)["mode"] = json!(4)),
+    ("SPLAT_INDICES", "/indices", |f| {
+        let indices = f.accessor("SCALAR", U16, &[0., 1., 2., 3., 4., 5.]);
+        primitive(f, SPLATS)["indices"] = json!(indices);
+    }),
     ("SPLAT_TOKEN", "/sortingMethod", |f| primitive(f, SPLATS)["extensions"][KHR]["sortingMethod"] = json!("zDepth")),
     ("SPLAT_ATTRIBUTE_MISSING", "/attributes", |f| {
         let attributes = primitive(f, SPLATS)["attributes"].as_object_mut().unwrap();
