@@ -18,6 +18,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (i, (at, accessor)) in objects(document.root, "accessors", "").enumerate() {
         check_layout(document, accessor, &at, findings);
         check_sparse(document, i, accessor, &at, findings);
+        check_count(document, i, accessor, &at, findings);
         // Bounds of accessors without stored data are unconstrained (glTF 2.0, 3.6.2.5).
         if let Some(elements) = document.elements(i).filter(Elements::is_stored) {
             check_values(&elements, accessor, &at, findings);
@@ -64,7 +65,8 @@ fn check_layout(document: &Document<'_>, accessor: &Value, at: &str, findings: &
         }
         let view = document.root.get("bufferViews").and_then(|v| v.get(view));
         let start = view.and_then(|v| index(v, "byteOffset")).unwrap_or(0).saturating_add(offset);
-        let size = kind.size();
+        // Columns of matrices begin at multiples of 4 (glTF 2.0, 3.6.2.4).
+        let size = if shape.starts_with("MAT") { 4 } else { kind.size() };
         if !offset.is_multiple_of(size) || !start.is_multiple_of(size) {
             let expected = format!("a start that is a multiple of {size}, in the view and in the buffer");
             findings.error("ACCESSOR_ALIGNMENT", at, expected, format!("bytes {offset} and {start}"));
@@ -102,6 +104,18 @@ fn check_sparse(document: &Document<'_>, i: usize, accessor: &Value, at: &str, f
     if let Some(found) = offenders.summary(indices.len()) {
         let expected = format!("strictly increasing indices below {count}");
         findings.error("SPARSE_INDICES", format!("{at}/sparse/indices"), expected, found);
+    }
+}
+
+/// Warns of zeros, stored nowhere, that are more than `convert` reads.
+fn check_count(document: &Document<'_>, i: usize, accessor: &Value, at: &str, findings: &mut Findings) {
+    if accessor.get("bufferView").is_some() || document.is_supplied(i) {
+        return;
+    }
+    let most = document.stored_bytes();
+    if let Some(count) = index(accessor, "count").filter(|&count| count > most) {
+        let expected = format!("at most {most} elements without a bufferView, the bytes of all buffers");
+        findings.warning("ACCESSOR_COUNT", format!("{at}/count"), expected, count);
     }
 }
 

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::super::Findings;
 use super::index;
-use crate::format::error::{Fault, Location};
+use crate::format::error::{Fault, Location, shown};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, extension_of};
 use crate::format::gltf::json::lists;
 use crate::format::gltf::{Loaded, meshopt::decompress};
@@ -231,6 +231,7 @@ impl<'a> Document<'a> {
         let (mut buffers, mut loaded): (Vec<Option<Content<'a>>>, _) = (vec![], Loaded::default());
         for (at, buffer) in super::objects(root, "buffers", "") {
             let needed = index(buffer, "byteLength").unwrap_or(0);
+            check_media_type(buffer, &at, findings);
             let embedded = if buffers.is_empty() { bin } else { None };
             let content = match (buffer.get("uri").and_then(Value::as_str), embedded) {
                 (Some(uri), _) => loaded
@@ -307,6 +308,18 @@ impl<'a> Document<'a> {
         self.buffers.get(index(view, "buffer")?)?.as_ref()?.bytes().get(start..end)
     }
 
+    /// Whether an extension may provide the values of an accessor.
+    pub(super) fn is_supplied(&self, accessor: usize) -> bool {
+        let object = self.object("accessors", accessor);
+        self.supplied.contains(&accessor) || object.is_some_and(|accessor| accessor.get("extensions").is_some())
+    }
+
+    /// Total length of the buffers and of decompressed views.
+    pub(super) fn stored_bytes(&self) -> usize {
+        let stored = self.buffers.iter().flatten().map(|content| content.length);
+        stored.chain(self.plain_views.values().map(Vec::len)).fold(0, usize::saturating_add)
+    }
+
     /// `POSITION` of a primitive, as [`Self::elements`] has it.
     pub(super) fn positions(&self, primitive: &Value) -> Option<Elements<'_>> {
         self.elements(index(primitive.get("attributes")?, "POSITION")?)
@@ -315,9 +328,8 @@ impl<'a> Document<'a> {
     /// `None` if something about it is broken, which [`super::accessors`] reports, or if an extension may have its
     /// values.
     pub(super) fn elements(&self, accessor: usize) -> Option<Elements<'_>> {
-        let is_supplied = self.supplied.contains(&accessor);
+        let is_supplied = self.is_supplied(accessor);
         let accessor = self.object("accessors", accessor)?;
-        let is_supplied = is_supplied || accessor.get("extensions").is_some();
         let kind = Component::of(accessor.get("componentType")?.as_u64()?)?;
         let shape = accessor.get("type")?.as_str()?;
         let count = index(accessor, "count")?;
@@ -330,9 +342,7 @@ impl<'a> Document<'a> {
             None => None,
         };
         // Accessors without stored data are zero; limited, because the count could be any number.
-        let stored = self.buffers.iter().flatten().map(|content| content.length);
-        let stored = stored.chain(self.plain_views.values().map(Vec::len)).sum::<usize>();
-        if base.is_none() && (sparse.is_none() && is_supplied || count > stored.max(FEW)) {
+        if base.is_none() && (sparse.is_none() && is_supplied || count > self.stored_bytes().max(FEW)) {
             return None;
         }
         let normalized = accessor.get("normalized") == Some(&Value::Bool(true)) && kind != Component::Float;
@@ -384,6 +394,16 @@ impl<'a> Document<'a> {
         let fits = needed(count, stride, size).and_then(|n| n.checked_add(offset)).is_some_and(|end| end <= length);
         let expected = || format!("{count} elements of {size} bytes, {stride} apart, from byte {offset} of the view");
         (!fits).then(|| (expected(), format!("a view of {length} bytes")))
+    }
+}
+
+/// Checks the media type of a buffer that is in the document.
+fn check_media_type(buffer: &Value, at: &str, findings: &mut Findings) {
+    let data = buffer.get("uri").and_then(Value::as_str).and_then(|uri| uri.strip_prefix("data:"));
+    let Some(found) = data.and_then(|data| data.split([';', ',']).next()) else { return };
+    if !["application/octet-stream", "application/gltf-buffer"].contains(&found) {
+        let expected = "application/octet-stream or application/gltf-buffer";
+        findings.error("BUFFER_TYPE", format!("{at}/uri"), expected, shown(found.as_bytes()));
     }
 }
 

@@ -8,7 +8,7 @@ use super::super::Findings;
 use super::schema::escaped;
 use crate::format::gltf::{expected_for, json::strings};
 
-/// Extensions that relax rules without an object of their own.
+/// Extensions that relax rules without an object of their own, so that documents have to require them.
 const WITHOUT_OBJECT: [&str; 1] = ["KHR_mesh_quantization"];
 
 pub(super) fn check(root: &Value, findings: &mut Findings) {
@@ -27,8 +27,12 @@ pub(super) fn check(root: &Value, findings: &mut Findings) {
         }
     }
     for (i, name) in used.iter().enumerate() {
-        if !present.contains_key(*name) && !WITHOUT_OBJECT.contains(name) {
-            let at = format!("/extensionsUsed/{i}");
+        let at = format!("/extensionsUsed/{i}");
+        if WITHOUT_OBJECT.contains(name) {
+            if !required.contains(name) {
+                findings.error("EXTENSION_OPTIONAL", at, format!("`{name}` in extensionsRequired as well"), "none");
+            }
+        } else if !present.contains_key(*name) {
             findings.warning("EXTENSION_UNUSED", at, format!("an object of `{name}`"), "none");
         }
     }

@@ -6,12 +6,12 @@ use serde_json::Value;
 
 use super::super::{Findings, Offenders};
 use super::document::{Component, Document, Elements};
+use super::materials::{Primitives, check_set, primitives_of, set_of};
 use super::moving::check_times;
 use super::pictures::Pictures;
 use super::schema::{self, Unknown};
 use super::splats::check_token;
-use super::{binding, extension, fields, index, objects, primitives};
-use crate::format::error::shown;
+use super::{binding, extension, fields, index, objects, primitives, warn_of};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, TEXTURE_TRANSFORM, extension_of};
 use crate::scene::ColorSpace;
 
@@ -34,9 +34,7 @@ fn parts<'a>(root: &'a Value) -> Vec<(String, &'a Value, String)> {
 
 /// Properties of the extension's objects that it does not define.
 pub(super) fn unknown(root: &Value) -> Vec<Unknown> {
-    let mut found = vec![];
-    parts(root).iter().for_each(|(at, part, name)| schema::unknown(part, name, at, &mut found));
-    found
+    parts(root).iter().flat_map(|(at, part, name)| schema::unknown(part, name, at)).collect()
 }
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
@@ -47,9 +45,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
         findings.warning("HYBRID_REQUIRED", format!("/extensionsRequired/{i}"), expected, "required");
     }
     parts(root).iter().for_each(|(at, part, name)| schema::check(part, name, at, findings));
-    for Unknown { at, name, known } in unknown(root) {
-        findings.warning("HYBRID_PROPERTY", at, format!("no other than {}", known.join(", ")), shown(name.as_bytes()));
-    }
+    warn_of(unknown(root), "HYBRID_PROPERTY", findings);
     let mut composed = BTreeSet::new();
     for (at, scene) in objects(root, "scenes", "") {
         if let Some((at, contract)) = extension(scene, HYBRID, &at) {
@@ -59,12 +55,7 @@ pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
         }
     }
     check_mixed(root, &composed, findings);
-    let mut shown_by: HashMap<usize, Vec<(String, &Value)>> = HashMap::new();
-    for (at, primitive) in primitives(root) {
-        if let Some(material) = index(primitive, "material") {
-            shown_by.entry(material).or_default().push((at, primitive));
-        }
-    }
+    let shown_by = primitives_of(root);
     let mut pictures = Pictures::new(document);
     for (i, (at, material)) in objects(root, "materials", "").enumerate() {
         if let Some((at_radiance, radiance)) = extension(material, HYBRID, &at) {
@@ -155,9 +146,6 @@ fn check_scene(root: &Value, contract: &Value, reached: &Reached, at: &str, find
     }
 }
 
-/// Primitives, each with its JSON pointer.
-type Primitives<'a> = [(String, &'a Value)];
-
 fn check_material(
     document: &Document<'_>,
     pictures: &mut Pictures<'_>,
@@ -207,11 +195,11 @@ impl Coordinates {
             |key: &str, i: usize, usual: f64| transform.get(key).and_then(|v| v.get(i)?.as_f64()).unwrap_or(usual);
         let rotation = transform.get("rotation").and_then(Value::as_f64).unwrap_or(0.0);
         let set = match source.get("texture") {
-            Some(texture) => index(transform, "texCoord").or(index(texture, "texCoord")),
-            None => index(source, "texCoord"),
+            Some(texture) => set_of(texture),
+            None => index(source, "texCoord").unwrap_or(0),
         };
         let [offset, scale] = [("offset", 0.0), ("scale", 1.0)].map(|(key, usual)| [0, 1].map(|i| part(key, i, usual)));
-        Self { set: set.unwrap_or(0), transform: [offset[0], offset[1], scale[0], scale[1], rotation] }
+        Self { set, transform: [offset[0], offset[1], scale[0], scale[1], rotation] }
     }
 }
 
@@ -305,17 +293,7 @@ fn check_texels(
             findings.error("HYBRID_TEXEL_RANGE", format!("{at}/{key}"), format!("1 or {channels} numbers"), length);
         }
     }
-    let name = format!("TEXCOORD_{}", Coordinates::of(source).set);
-    let mut lacking = Offenders::default();
-    for (at_primitive, primitive) in shown {
-        if primitive.get("attributes").is_some_and(|a| a.get(&name).is_none()) {
-            lacking.note(|| at_primitive.clone());
-        }
-    }
-    if let Some(found) = lacking.summary(shown.len()) {
-        let expected = format!("{name} in every primitive of the material");
-        findings.error("HYBRID_TEXCOORD", at, expected, format!("none in {found}"));
-    }
+    check_set(Coordinates::of(source).set, shown, "HYBRID_TEXCOORD", at, findings);
 }
 
 fn check_surface(

@@ -1,6 +1,7 @@
 //! Validation of glTF 2.0 and its splat extensions.
 
 mod accessors;
+mod attributes;
 mod binding;
 mod container;
 mod document;
@@ -8,14 +9,17 @@ mod extensions;
 mod fields;
 mod flat;
 mod hybrid;
+mod materials;
 mod moving;
 mod pictures;
 mod references;
 mod scenes;
 mod schema;
+mod skins;
 mod splats;
 #[cfg(test)]
 mod tests;
+mod views;
 
 use std::path::Path;
 
@@ -31,12 +35,17 @@ use crate::format::gltf::json::{index, items};
 pub(super) fn check(bytes: &[u8], folder: &Path, findings: &mut Findings) {
     let Some(container::Parts { root, bin }) = container::open(bytes, findings) else { return };
     schema::check(&root, "glTF", "", findings);
+    warn_of(schema::unknown(&root, "glTF", ""), "PROPERTY_UNKNOWN", findings);
     references::check(&root, findings);
     extensions::check(&root, findings);
     let document = Document::load(&root, bin, folder, findings);
     accessors::check(&document, findings);
+    views::check(&document, findings);
     scenes::check(&document, findings);
+    attributes::check(&document, findings);
+    materials::check(&root, findings);
     pictures::check(&document, findings);
+    skins::check(&document, findings);
     moving::check(&document, findings);
     splats::check(&document, findings);
     flat::check(&document, findings);
@@ -53,6 +62,13 @@ pub(super) fn unknown_properties(root: &Value) -> Vec<String> {
         format!("{at}: {} is no property of {HYBRID} and is ignored", shown(name.as_bytes()))
     };
     hybrid::unknown(root).into_iter().map(said).collect()
+}
+
+/// Warns of properties that no schema defines: viewers ignore them, so mistyped ones would go unnoticed.
+fn warn_of(unknown: Vec<schema::Unknown>, code: &'static str, findings: &mut Findings) {
+    for schema::Unknown { at, name, known } in unknown {
+        findings.warning(code, at, format!("no other than {}", known.join(", ")), shown(name.as_bytes()));
+    }
 }
 
 /// Objects of the array `key`, each with its JSON pointer.

@@ -1,88 +1,55 @@
-//! Validation of animated content of core glTF: skins, morph targets and animations.
+//! Validation of animated content of core glTF: morph targets and animations.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
 use super::accessors::check_bounds;
 use super::document::{Component, Document, Elements};
+use super::scenes::check_units;
 use super::{index, items, objects, primitives};
-
-/// Least sum of a vertex's weights that counts as non-zero.
-const LEAST_WEIGHT: f64 = 1e-6;
+use crate::format::gltf::extension::animated_property;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
-    check_skins(document, findings);
-    // Every pair of mesh and skin is checked once, regardless of the number of its nodes.
-    let mut checked = HashSet::new();
-    for (at, node) in objects(document.root, "nodes", "") {
-        if let Some(pair) = index(node, "mesh").zip(index(node, "skin")).filter(|pair| checked.insert(*pair)) {
-            check_bound(document, pair, &at, findings);
-        }
-    }
+    check_counts(document, findings);
     for (at, primitive) in primitives(document.root) {
         check_targets(document, primitive, &at, findings);
     }
     check_animations(document, findings);
 }
 
-fn check_skins(document: &Document<'_>, findings: &mut Findings) {
-    for (at, skin) in objects(document.root, "skins", "") {
-        let joints = items(skin, "joints").len();
-        let matrices = index(skin, "inverseBindMatrices").and_then(|i| document.elements(i));
-        if let Some(m) = matrices.filter(|m| m.count < joints || m.components != 16 || m.kind != Component::Float) {
-            let expected = format!("MAT4 of Float, one for each of {joints} joints");
-            let found = format!("{} elements of {} components of {:?}", m.count, m.components, m.kind);
-            findings.error("SKIN_MATRICES", format!("{at}/inverseBindMatrices"), expected, found);
+/// Checks that the primitives of a mesh have equally many morph targets, and the mesh and its nodes as many weights.
+fn check_counts(document: &Document<'_>, findings: &mut Findings) {
+    for (i, (at, mesh)) in objects(document.root, "meshes", "").enumerate() {
+        let Some(targets) = target_count(document, i) else { continue };
+        check_weights(mesh, targets, "MESH_WEIGHTS", &at, findings);
+        for (at, primitive) in objects(mesh, "primitives", &at) {
+            let found = items(primitive, "targets").len();
+            if found != targets {
+                let expected = format!("{targets} morph targets, as in the first primitive");
+                findings.error("MESH_TARGETS", at, expected, found);
+            }
+        }
+    }
+    for (at, node) in objects(document.root, "nodes", "") {
+        if let Some(targets) = index(node, "mesh").and_then(|mesh| target_count(document, mesh)) {
+            check_weights(node, targets, "NODE_WEIGHTS", &at, findings);
         }
     }
 }
 
-/// Checks the joints and weights of the mesh of a node with a skin.
-fn check_bound(document: &Document<'_>, (i, skin): (usize, usize), at: &str, findings: &mut Findings) {
-    let (Some(mesh), Some(skin)) = (document.object("meshes", i), document.object("skins", skin)) else { return };
-    let joints = items(skin, "joints").len();
-    for (place, primitive) in objects(mesh, "primitives", &format!("/meshes/{i}")) {
-        let set = |name: &str, n: usize| {
-            let accessor = primitive.get("attributes")?.get(format!("{name}_{n}"))?.as_u64()?;
-            document.elements(accessor as usize).filter(|e| e.components == 4)
-        };
-        let sets: Vec<(Elements<'_>, Elements<'_>)> =
-            (0..).map_while(|n| set("JOINTS", n).zip(set("WEIGHTS", n))).collect();
-        if sets.is_empty() {
-            let found = format!("no such pair, and the skin of {at}");
-            findings.error("SKIN_WEIGHTS", place, "JOINTS_0 and WEIGHTS_0", found);
-            continue;
-        }
-        let vertices = sets.iter().map(|(joints, weights)| joints.count.min(weights.count)).min().unwrap_or_default();
-        let (mut beyond, mut weightless) = (Offenders::default(), Offenders::default());
-        for v in 0..vertices {
-            let bound = || {
-                sets.iter().flat_map(|(joints, weights)| joints.vector::<4>(v).into_iter().zip(weights.vector::<4>(v)))
-            };
-            // Indices of joints with zero weight need not be valid.
-            if let Some((joint, _)) = bound().find(|&(joint, weight)| weight != 0.0 && joint >= joints as f64) {
-                beyond.note(|| format!("{joint} at vertex {v}"));
-            }
-            let total: f64 = bound().map(|(_, weight)| weight).sum();
-            if total < LEAST_WEIGHT {
-                weightless.note(|| format!("{total} at vertex {v}"));
-            }
-        }
-        if let Some(found) = beyond.summary(vertices) {
-            let expected = format!("joints below {joints}, as the skin of {at} has");
-            findings.error("SKIN_JOINTS", format!("{place}/attributes/JOINTS_0"), expected, found);
-        }
-        if let Some(found) = weightless.summary(vertices) {
-            findings.error(
-                "SKIN_WEIGHTS",
-                format!("{place}/attributes/WEIGHTS_0"),
-                "weights that add up to more than nothing",
-                found,
-            );
-        }
+fn check_weights(object: &Value, targets: usize, code: &'static str, at: &str, findings: &mut Findings) {
+    let weights = object.get("weights").and_then(Value::as_array).map(Vec::len);
+    if let Some(found) = weights.filter(|&found| found != targets) {
+        findings.error(code, format!("{at}/weights"), format!("{targets}, one per morph target"), found);
     }
+}
+
+/// Number of morph targets of a mesh.
+fn target_count(document: &Document<'_>, mesh: usize) -> Option<usize> {
+    let first = items(document.object("meshes", mesh)?, "primitives").first()?;
+    Some(items(first, "targets").len())
 }
 
 fn check_targets(document: &Document<'_>, primitive: &Value, at: &str, findings: &mut Findings) {
@@ -101,6 +68,9 @@ fn check_targets(document: &Document<'_>, primitive: &Value, at: &str, findings:
             if ["POSITION", "NORMAL", "TANGENT"].contains(&name.as_str()) && kind != "VEC3" {
                 findings.error("TARGET_TYPE", place(), "VEC3", kind);
             }
+            if primitive.get("attributes").is_some_and(|attributes| attributes.get(name).is_none()) {
+                findings.error("TARGET_BASE", place(), format!("{name} of the primitive as well"), "none");
+            }
             if name == "POSITION" {
                 let of = "POSITION of a morph target";
                 check_bounds(document, value.as_u64().unwrap_or_default() as usize, "TARGET_BOUNDS", of, findings);
@@ -118,44 +88,81 @@ fn check_animations(document: &Document<'_>, findings: &mut Findings) {
             if bounded.insert(input) {
                 check_bounds(document, input, "ANIMATION_BOUNDS", "input of an animation", findings);
             }
-            if let Some(times) = document.elements(input) {
-                check_times(&times, &format!("{at}/input"), findings);
+            let Some(times) = document.elements(input) else { continue };
+            check_times(&times, &format!("{at}/input"), findings);
+            if is_spline(sampler) && times.count < 2 {
+                findings.error("ANIMATION_KEYS", format!("{at}/input"), "two or more for CUBICSPLINE", times.count);
             }
         }
-        for (at, channel) in objects(animation, "channels", &at) {
+        let mut animated = HashMap::new();
+        for (i, (at, channel)) in objects(animation, "channels", &at).enumerate() {
+            let first = target_of(channel).map_or(i, |target| *animated.entry(target).or_insert(i));
+            if first != i {
+                let expected = "a target of no other channel of the animation";
+                findings.error("ANIMATION_TWICE", format!("{at}/target"), expected, format!("that of channel {first}"));
+            }
             check_channel(document, animation, channel, &at, findings);
         }
     }
 }
 
+fn is_spline(sampler: &Value) -> bool {
+    sampler.get("interpolation").and_then(Value::as_str) == Some("CUBICSPLINE")
+}
+
+/// JSON pointer to what a channel animates, if it does.
+fn target_of(channel: &Value) -> Option<String> {
+    if let Some(pointer) = animated_property(channel) {
+        return Some(pointer.to_owned());
+    }
+    let target = channel.get("target").filter(|target| target.get("extensions").is_none())?;
+    Some(format!("/nodes/{}/{}", index(target, "node")?, target.get("path")?.as_str()?))
+}
+
 fn check_channel(document: &Document<'_>, animation: &Value, channel: &Value, at: &str, findings: &mut Findings) {
     let Some(target) = channel.get("target").filter(|target| target.get("extensions").is_none()) else { return };
     let path = target.get("path").and_then(Value::as_str).unwrap_or_default();
-    let weights = || {
-        let mesh = index(document.object("nodes", index(target, "node")?)?, "mesh")?;
-        let first = document.object("meshes", mesh)?.get("primitives")?.get(0)?;
-        first.get("targets").and_then(Value::as_array).map(Vec::len)
-    };
+    let node = index(target, "node").and_then(|i| document.object("nodes", i));
     // Elements per key, and components of each.
     let (elements, components) = match path {
         "translation" | "scale" => (Some(1), 3),
         "rotation" => (Some(1), 4),
-        "weights" => (weights(), 1),
+        "weights" => {
+            let mesh = node.and_then(|node| index(node, "mesh"));
+            (mesh.map_or(node.map(|_| 0), |mesh| target_count(document, mesh)), 1)
+        }
         _ => {
             let expected = "translation, rotation, scale or weights";
             return findings.error("ANIMATION_PATH", format!("{at}/target/path"), expected, path.to_owned());
         }
     };
+    if elements == Some(0) {
+        let expected = "a node with a mesh that has morph targets";
+        return findings.error("ANIMATION_WEIGHTS", format!("{at}/target/node"), expected, "another");
+    }
+    if path != "weights" && node.is_some_and(|node| node.get("matrix").is_some()) {
+        let expected = "a node with translation, rotation and scale";
+        findings.error("ANIMATION_MATRIX", format!("{at}/target/node"), expected, "one with a matrix");
+    }
     let sampler = index(channel, "sampler").and_then(|s| animation.get("samplers")?.get(s));
     let (Some(elements), Some(sampler)) = (elements, sampler) else { return };
     let of = |key| index(sampler, key).and_then(|i| document.elements(i));
     let (Some(input), Some(output)) = (of("input"), of("output")) else { return };
-    let tangents = sampler.get("interpolation").and_then(Value::as_str) == Some("CUBICSPLINE");
+    let tangents = is_spline(sampler);
     let expected = input.count.saturating_mul(if tangents { 3 } else { 1 }).saturating_mul(elements);
     if output.count != expected || output.components != components {
         let expected = format!("{expected} elements of {components} components for {path}");
         let found = format!("{} of {}", output.count, output.components);
         findings.error("ANIMATION_OUTPUT", at, expected, found);
+    }
+    let takes_integers = ["rotation", "weights"].contains(&path);
+    if output.kind != Component::Float && !(takes_integers && output.normalized) {
+        let expected = if takes_integers { "floats or normalised integers" } else { "floats" };
+        findings.error("ANIMATION_TYPE", at, format!("{expected} for {path}"), format!("{:?}", output.kind));
+    } else if path == "rotation" {
+        // Of a spline, every second of three elements is a rotation, and the others are its tangents.
+        let rotations = (usize::from(tangents)..output.count).step_by(if tangents { 3 } else { 1 });
+        check_units::<4>(&output, rotations, at, "ANIMATION_ROTATION", findings);
     }
 }
 

@@ -1,29 +1,28 @@
-//! Validation of nodes and primitives of core glTF.
+//! Validation of nodes and cameras of core glTF.
 
-use std::collections::{BTreeMap, BTreeSet};
-
+use glam::{DMat3, DVec3};
 use serde_json::Value;
 
 use super::super::{Findings, Offenders};
-use super::accessors::check_bounds;
-use super::document::{Component, Document, Elements, components};
-use super::{extension, index, items, objects, primitives};
-use crate::format::gltf::extension::{INSTANCING, KHR_SPLATS, extension_of};
+use super::document::{Component, Document, Elements};
+use super::schema::escaped;
+use super::{extension, index, objects};
+use crate::format::gltf::extension::INSTANCING;
 use crate::format::gltf::json::indices;
 
 /// Largest deviation of a unit vector's or quaternion's norm from 1: 8-bit components are each off by up to half a step
 /// of 1/127.
 pub(super) const UNIT_TOLERANCE: f64 = 0.01;
 
+/// Largest cosine between two axes of a matrix without shear: what rounding to four decimals explains.
+const SHEAR_TOLERANCE: f64 = 2e-4;
+
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     check_nodes(document.root, findings);
     for (at, node) in objects(document.root, "nodes", "") {
         check_copies(document, node, &at, findings);
     }
-    for (at, primitive) in primitives(document.root) {
-        check_primitive(document, primitive, &at, findings);
-    }
-    check_strides(document, findings);
+    check_cameras(document.root, findings);
 }
 
 fn check_nodes(root: &Value, findings: &mut Findings) {
@@ -40,6 +39,7 @@ fn check_nodes(root: &Value, findings: &mut Findings) {
         if node.get("matrix").is_some() && ["translation", "rotation", "scale"].iter().any(|k| node.get(k).is_some()) {
             findings.error("NODE_TRANSFORM", at, "a matrix or translation, rotation and scale", "both");
         }
+        check_matrix(node, &format!("{at}/matrix"), findings);
         let rotation = numbers(node.get("rotation"));
         let norm = rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
         if rotation.len() == 4 && (norm - 1.0).abs() > UNIT_TOLERANCE {
@@ -72,6 +72,51 @@ fn check_nodes(root: &Value, findings: &mut Findings) {
     }
 }
 
+/// Checks that the matrix of a node is a product of translation, rotation and scale.
+fn check_matrix(node: &Value, at: &str, findings: &mut Findings) {
+    let Ok(m) = <[f64; 16]>::try_from(numbers(node.get("matrix"))) else { return };
+    let last = [m[3], m[7], m[11], m[15]];
+    if last != [0.0, 0.0, 0.0, 1.0] {
+        return findings.error("NODE_MATRIX", at, "[0.0, 0.0, 0.0, 1.0] as the fourth row", format!("{last:?}"));
+    }
+    let [x, y, z] = [0, 4, 8].map(|i| DVec3::new(m[i], m[i + 1], m[i + 2]));
+    if DMat3::from_cols(x, y, z).determinant() == 0.0 {
+        return findings.error("NODE_MATRIX", at, "a matrix that has an inverse", "determinant 0");
+    }
+    let cosine = |a: DVec3, b: DVec3| a.normalize().dot(b.normalize()).abs();
+    let shear = cosine(x, y).max(cosine(y, z)).max(cosine(z, x));
+    if shear > SHEAR_TOLERANCE {
+        let expected = "a product of translation, rotation and scale";
+        let found = format!("axes {:.2}° from a right angle", shear.min(1.0).asin().to_degrees());
+        findings.error("NODE_MATRIX", at, expected, found);
+    }
+}
+
+/// Checks what the schema does not say of cameras.
+fn check_cameras(root: &Value, findings: &mut Findings) {
+    for (at, camera) in objects(root, "cameras", "") {
+        for kind in ["perspective", "orthographic"] {
+            let number = |key: &str| camera.get(kind)?.get(key)?.as_f64();
+            let place = |key: &str| format!("{at}/{kind}/{key}");
+            if let (Some(near), Some(far)) = (number("znear"), number("zfar"))
+                && far <= near
+            {
+                findings.error("CAMERA_DEPTHS", place("zfar"), format!("more than znear, which is {near}"), far);
+            }
+            if let Some(angle) = number("yfov").filter(|&angle| angle >= std::f64::consts::PI) {
+                findings.warning("CAMERA_ANGLE", place("yfov"), "less than π", angle);
+            }
+            for (key, size) in ["xmag", "ymag"].into_iter().filter_map(|key| Some((key, number(key)?))) {
+                if size == 0.0 {
+                    findings.error("CAMERA_SIZE", place(key), "other than 0", size);
+                } else if size < 0.0 {
+                    findings.warning("CAMERA_SIZE", place(key), "more than 0", size);
+                }
+            }
+        }
+    }
+}
+
 /// Checks instances of a mesh: equally many elements of each attribute, and the extension's types for those that
 /// determine transforms.
 fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut Findings) {
@@ -79,7 +124,7 @@ fn check_copies(document: &Document<'_>, node: &Value, at: &str, findings: &mut 
     let Some((at, copies)) = extension(node, INSTANCING, at) else { return };
     let mut first: Option<(&str, usize)> = None;
     for (name, value) in copies.get("attributes").and_then(Value::as_object).into_iter().flatten() {
-        let place = || format!("{at}/attributes/{}", super::schema::escaped(name));
+        let place = || format!("{at}/attributes/{}", escaped(name));
         let Some(accessor) = value.as_u64().and_then(|i| document.object("accessors", i as usize)) else { continue };
         let Some(count) = index(accessor, "count") else { continue };
         let (other, expected) = *first.get_or_insert((name.as_str(), count));
@@ -110,147 +155,6 @@ pub(super) fn numbers(value: Option<&Value>) -> Vec<f64> {
     value.and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_f64).collect()
 }
 
-/// Types and component types of a core attribute; `KHR_mesh_quantization` allows others.
-fn attribute_rule(name: &str) -> Option<(&'static [&'static str], &'static [Component])> {
-    use Component::{Float, UnsignedByte, UnsignedShort};
-    let set = name.rsplit_once('_').filter(|(_, digits)| digits.bytes().all(|b| b.is_ascii_digit()));
-    Some(match (name, set.map(|(name, _)| name)) {
-        ("POSITION" | "NORMAL", _) => (&["VEC3"], &[Float]),
-        ("TANGENT", _) => (&["VEC4"], &[Float]),
-        (_, Some("TEXCOORD")) => (&["VEC2"], &[Float, UnsignedByte, UnsignedShort]),
-        (_, Some("JOINTS")) => (&["VEC4"], &[UnsignedByte, UnsignedShort]),
-        (_, Some("WEIGHTS")) => (&["VEC4"], &[Float, UnsignedByte, UnsignedShort]),
-        (_, Some("COLOR")) => (&["VEC3", "VEC4"], &[Float, UnsignedByte, UnsignedShort]),
-        _ => return None,
-    })
-}
-
-fn check_primitive(document: &Document<'_>, primitive: &Value, at: &str, findings: &mut Findings) {
-    let Some(attributes) = primitive.get("attributes").and_then(Value::as_object) else { return };
-    let accessor = |i: &Value| i.as_u64().and_then(|i| document.root.get("accessors")?.get(i as usize));
-    let is_splats = extension_of(primitive, KHR_SPLATS).is_some();
-    let quantized = document.uses("KHR_mesh_quantization");
-    let positions = attributes.get("POSITION").and_then(accessor);
-    let vertices = positions.and_then(|p| index(p, "count"));
-    match attributes.get("POSITION").and_then(Value::as_u64).filter(|_| positions.is_some()) {
-        None => findings.warning("PRIMITIVE_POSITION", format!("{at}/attributes"), "POSITION", "none"),
-        Some(accessor) => check_bounds(document, accessor as usize, "PRIMITIVE_BOUNDS", "POSITION", findings),
-    }
-    for (name, value) in attributes {
-        let place = || format!("{at}/attributes/{}", super::schema::escaped(name));
-        let Some(accessor) = accessor(value) else { continue };
-        let count = index(accessor, "count");
-        if count != vertices && vertices.is_some() {
-            let expected = format!("{} elements, as in POSITION", vertices.unwrap_or_default());
-            findings.error("PRIMITIVE_COUNT", place(), expected, count.unwrap_or_default());
-        }
-        if let Some((shapes, kinds)) = attribute_rule(name) {
-            let found_shape = accessor.get("type").and_then(Value::as_str).unwrap_or_default();
-            let found_kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
-            let allowed = found_kind.is_none_or(|k| kinds.contains(&k) || quantized);
-            if !shapes.contains(&found_shape) || !allowed {
-                let expected = format!("{} of {kinds:?}", shapes.join(" or "));
-                findings.error("PRIMITIVE_ATTRIBUTE", place(), expected, format!("{found_shape} of {found_kind:?}"));
-            }
-        }
-        check_alignment(document, accessor, place, findings);
-    }
-    let targets = items(primitive, "targets").iter().enumerate();
-    for (k, target) in targets.filter_map(|(k, target)| Some((k, target.as_object()?))) {
-        for (name, accessor) in target.iter().filter_map(|(name, value)| Some((name, accessor(value)?))) {
-            let place = || format!("{at}/targets/{k}/{}", super::schema::escaped(name));
-            check_alignment(document, accessor, place, findings);
-        }
-    }
-    check_indices(document, primitive, vertices, at, findings);
-    if !is_splats && let Some(normals) = attributes.get("NORMAL").and_then(Value::as_u64) {
-        check_unit::<3>(
-            document.elements(normals as usize),
-            &format!("{at}/attributes/NORMAL"),
-            "NORMAL_NORM",
-            findings,
-        );
-    }
-}
-
-/// Checks that every element of a vertex attribute begins at a multiple of 4 bytes of its view (glTF 2.0, 3.6.2.4).
-fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -> String, findings: &mut Findings) {
-    let kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
-    let components = accessor.get("type").and_then(Value::as_str).and_then(components);
-    let view = index(accessor, "bufferView").and_then(|view| document.object("bufferViews", view));
-    let (Some(kind), Some(components), Some(view)) = (kind, components, view) else { return };
-    let stride = index(view, "byteStride").unwrap_or(components * kind.size());
-    let offset = index(accessor, "byteOffset").unwrap_or(0);
-    if !stride.is_multiple_of(4) || !offset.is_multiple_of(4) {
-        let expected = "elements that begin at multiples of 4 bytes of the view";
-        findings.error("ATTRIBUTE_ALIGNMENT", place(), expected, format!("byte {offset}, then every {stride} bytes"));
-    }
-}
-
-/// Checks that a view shared by several vertex attributes states the stride of their elements (glTF 2.0, 3.6.2.4).
-fn check_strides(document: &Document<'_>, findings: &mut Findings) {
-    let mut inside: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
-    for (_, primitive) in primitives(document.root) {
-        let targets = items(primitive, "targets").iter();
-        let lists = targets.chain(primitive.get("attributes")).filter_map(Value::as_object);
-        for accessor in lists.flatten().filter_map(|(_, accessor)| accessor.as_u64()).map(|i| i as usize) {
-            let view = document.object("accessors", accessor).and_then(|accessor| index(accessor, "bufferView"));
-            if let Some(view) = view {
-                inside.entry(view).or_default().insert(accessor);
-            }
-        }
-    }
-    for (view, accessors) in inside.into_iter().filter(|(_, accessors)| accessors.len() > 1) {
-        if document.object("bufferViews", view).is_some_and(|view| view.get("byteStride").is_none()) {
-            let expected = format!("a byteStride, as {} vertex attributes are in it", accessors.len());
-            findings.error("VIEW_STRIDE", format!("/bufferViews/{view}"), expected, "none");
-        }
-    }
-}
-
-fn check_indices(
-    document: &Document<'_>,
-    primitive: &Value,
-    vertices: Option<usize>,
-    at: &str,
-    findings: &mut Findings,
-) {
-    let mode = index(primitive, "mode").unwrap_or(4);
-    // Unreadable indices are not counted.
-    let mut corners = if primitive.get("indices").is_none() { vertices } else { None };
-    if let Some(accessor) = index(primitive, "indices")
-        && let Some(elements) = document.elements(accessor)
-    {
-        let place = format!("{at}/indices");
-        corners = Some(elements.count);
-        let unsigned = [Component::UnsignedByte, Component::UnsignedShort, Component::UnsignedInt];
-        if !unsigned.contains(&elements.kind) || elements.components != 1 || elements.normalized {
-            let expected = "SCALAR of an unsigned integer type, not normalised";
-            return findings.error("INDICES_TYPE", place, expected, format!("{:?}", elements.kind));
-        }
-        let mut offenders = Offenders::default();
-        for i in 0..elements.count {
-            let v = elements.raw(i, 0);
-            if vertices.is_some_and(|n| v >= n as f64) || v == elements.kind.largest() {
-                offenders.note(|| format!("{v} at position {i}"));
-            }
-        }
-        if let Some(found) = offenders.summary(elements.count) {
-            let expected = format!("indices below {}, the number of vertices", vertices.unwrap_or_default());
-            findings.error("INDICES_RANGE", place, expected, found);
-        }
-    }
-    let whole = match (mode, corners) {
-        (1, Some(n)) => n.is_multiple_of(2) && n > 0,
-        (4, Some(n)) => n.is_multiple_of(3) && n > 0,
-        _ => true,
-    };
-    if !whole {
-        let expected = if mode == 4 { "three corners per triangle" } else { "two ends per line" };
-        findings.warning("PRIMITIVE_INCOMPLETE", at, expected, format!("{} in all", corners.unwrap_or_default()));
-    }
-}
-
 /// Reports vectors whose norm is not 1.
 pub(super) fn check_unit<const N: usize>(
     elements: Option<Elements<'_>>,
@@ -258,16 +162,31 @@ pub(super) fn check_unit<const N: usize>(
     code: &'static str,
     findings: &mut Findings,
 ) {
-    let Some(elements) = elements.filter(|e| e.components == N) else { return };
-    let mut offenders = Offenders::default();
-    for i in 0..elements.count {
+    if let Some(elements) = elements {
+        check_units::<N>(&elements, 0..elements.count, at, code, findings);
+    }
+}
+
+/// Same as [`check_unit`], of some elements.
+pub(super) fn check_units<const N: usize>(
+    elements: &Elements<'_>,
+    which: impl ExactSizeIterator<Item = usize>,
+    at: &str,
+    code: &'static str,
+    findings: &mut Findings,
+) {
+    if elements.components != N {
+        return;
+    }
+    let (mut offenders, checked) = (Offenders::default(), which.len());
+    for i in which {
         let norm = elements.vector::<N>(i).iter().map(|v| v * v).sum::<f64>().sqrt();
         // NaN has a finding of its own.
         if (norm - 1.0).abs() > UNIT_TOLERANCE {
             offenders.note(|| format!("length {norm:.4} of element {i}"));
         }
     }
-    if let Some(found) = offenders.summary(elements.count) {
+    if let Some(found) = offenders.summary(checked) {
         findings.error(code, at, "length 1", found);
     }
 }

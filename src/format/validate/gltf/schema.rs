@@ -30,12 +30,6 @@ macro_rules! hybrid_schemas {
     };
 }
 
-/// Whether a schema is one of the hybrid extension's: those of the core are partial here, and do not list all
-/// properties.
-fn is_of_hybrid(schema: &Value) -> bool {
-    schema.get("$id").is_some()
-}
-
 const HYBRID_SCHEMAS: [&str; 14] = hybrid_schemas![
     "KHR_gaussian_splatting.EXT_gaussian_splatting_hybrid",
     "binding",
@@ -69,12 +63,14 @@ pub(super) struct Unknown {
     pub(super) known: Vec<String>,
 }
 
-/// Collects every property in `value`, located at `at`, that the schema called `name` does not define: JSON Schema
-/// allows them, so mistyped ones would go unnoticed.
-pub(super) fn unknown(value: &Value, name: &str, at: &str, found: &mut Vec<Unknown>) {
+/// Every property in `value`, located at `at`, that the schema called `name` does not define; JSON Schema allows them.
+/// Objects of extensions have schemas of their own.
+pub(super) fn unknown(value: &Value, name: &str, at: &str) -> Vec<Unknown> {
+    let mut found = vec![];
     if let Some(schema) = SCHEMAS.get(name) {
-        unknown_in(&[schema], value, at, found);
+        unknown_in(&[schema], value, at, &mut found);
     }
+    found
 }
 
 fn unknown_in<'a>(schemas: &[&'a Value], value: &Value, at: &str, found: &mut Vec<Unknown>) {
@@ -83,8 +79,10 @@ fn unknown_in<'a>(schemas: &[&'a Value], value: &Value, at: &str, found: &mut Ve
     let of_key = |key: &str, name: &str| -> Vec<&'a Value> {
         all.iter().filter_map(|schema| schema.get(key)?.get(name)).collect()
     };
+    // Any name may be in an object of which no schema lists properties, such as `attributes` and `extensions`.
+    let lists_properties = all.iter().any(|schema| schema.get("properties").is_some());
     match value {
-        Value::Object(object) if all.iter().any(|schema| is_of_hybrid(schema)) => {
+        Value::Object(object) if lists_properties => {
             for (name, inner) in object {
                 let schemas = of_key("properties", name);
                 if schemas.is_empty() {

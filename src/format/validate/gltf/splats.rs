@@ -6,7 +6,7 @@ use super::super::{Findings, Offenders};
 use super::document::{Component, Document};
 use super::scenes::check_unit;
 use super::schema::{self, escaped, shown};
-use super::{extension, index, primitives};
+use super::{extension, index, primitives, warn_of};
 use crate::format::gltf::extension::{HYBRID, KHR_SPLATS, OPACITY, ROTATION, SCALE, sh_attributes};
 use crate::scene::{ColorSpace, color, sh};
 
@@ -48,6 +48,7 @@ fn check_indices(primitive: &Value, at: &str, findings: &mut Findings) {
 
 fn check_object(khr: &Value, at: &str, findings: &mut Findings) {
     schema::check(khr, KHR_SPLATS, at, findings);
+    warn_of(schema::unknown(khr, KHR_SPLATS, at), "PROPERTY_UNKNOWN", findings);
     let known: [(&str, &[&str]); 4] = [
         ("kernel", &["ellipse"]),
         ("colorSpace", &ColorSpace::ALL.map(ColorSpace::name)),
