@@ -97,7 +97,7 @@
 //!     gpu: &Gpu::open(None)?,
 //!     checkpoints: Checkpoints::Save("garden.checkpoint".into()),
 //!     stop: &AtomicBool::new(false),
-//!     progress: &mut |report| println!("{report:?}"),
+//!     progress: &mut |event| println!("{event:?}"),
 //! };
 //! let trained = optimize::train(&capture, MeshSource::suited_to(&capture), &options, session)?;
 //! let names = capture.views.iter().map(|view| view.name.clone());

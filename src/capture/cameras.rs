@@ -31,6 +31,10 @@ pub struct Cameras {
     pub images_folder: Option<PathBuf>,
     /// As [`super::Capture::passed_over`].
     pub passed_over: Vec<PathBuf>,
+    /// Width and height of a picture that a `transforms*.json` states, and those of the photograph, which its camera has
+    /// here instead, before downscaling: of the first camera where they differ. `None` with [`LoadOptions::images`],
+    /// which asks for photographs of another size.
+    pub other_size: Option<[(u32, u32); 2]>,
 }
 
 /// File `camera_path.json` of nerfstudio's viewer.
@@ -103,9 +107,11 @@ pub fn cameras(path: &Path, options: &LoadOptions) -> Result<Cameras, CaptureErr
     }
     let images = frames.iter().map(|frame| frame.image.clone()).collect();
     let images_folder = images_folder(&frames);
-    let mut cameras = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
-    cameras.sort_by(|a, b| natural(&a.0, &b.0));
-    at_least_one(Cameras { cameras, fps, y_up, images, images_folder, passed_over }, &list)
+    let mut found = frames.into_par_iter().map(|frame| camera(frame, options)).collect::<Result<Vec<_>, _>>()?;
+    found.sort_by(|a, b| natural(&a.0, &b.0));
+    let other_size = found.iter().find_map(|(.., other_size)| *other_size);
+    let cameras = found.into_iter().map(|(name, camera, _)| (name, camera)).collect();
+    at_least_one(Cameras { cameras, fps, y_up, images, images_folder, passed_over, other_size }, &list)
 }
 
 /// See [`Cameras::images_folder`].
@@ -148,10 +154,19 @@ fn is_json(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "json")
 }
 
-fn camera(frame: Frame, options: &LoadOptions) -> Result<(String, Camera), CaptureError> {
+/// Size of a picture as stated, and that of its photograph.
+type Sizes = [(u32, u32); 2];
+
+/// Name and camera of a frame, and sizes if they differ.
+fn camera(frame: Frame, options: &LoadOptions) -> Result<(String, Camera, Option<Sizes>), CaptureError> {
     let invalid = |expected: &str, found: &str| CaptureError::invalid(&frame.list, frame.place(), expected, found);
     if frame.image.is_file() {
-        return views::view(frame, options).map(|view| (view.name, view.camera));
+        let size = |k: &Intrinsics| (k.width, k.height);
+        let states = frame.has_size && is_json(&frame.list) && options.images.is_none();
+        let stated = states.then(|| size(&frame.lens.intrinsics));
+        let view = views::view(frame, options)?;
+        let sizes = stated.map(|stated| [stated, size(&view.source.lens.intrinsics)]);
+        return Ok((view.name, view.camera, sizes.filter(|[stated, own]| stated != own)));
     }
     if let Some(folder) = &options.images {
         return Err(invalid(&format!("its image in {folder}"), "no such file"));
@@ -162,7 +177,8 @@ fn camera(frame: Frame, options: &LoadOptions) -> Result<(String, Camera), Captu
     let camera = Camera::new(frame.lens.pinhole(), frame.rotation, frame.translation)
         .map_err(|e| CaptureError::scene(&frame.list, &frame.place(), e))?;
     let place = frame.place();
-    sized(frame.name, &camera, &frame.list, &place, options)
+    let (name, camera) = sized(frame.name, &camera, &frame.list, &place, options)?;
+    Ok((name, camera, None))
 }
 
 /// The camera at the requested size.
@@ -206,7 +222,9 @@ fn camera_path(text: &str, path: &Path, options: &LoadOptions) -> Result<Cameras
     };
     let fps = file.fps.map(|fps| rate(fps, path)).transpose()?;
     let cameras = file.camera_path.iter().enumerate().map(camera).collect::<Result<_, _>>()?;
-    at_least_one(Cameras { cameras, fps, y_up: false, images: vec![], images_folder: None, passed_over: vec![] }, path)
+    let (images, passed_over) = (vec![], vec![]);
+    let found = Cameras { cameras, fps, y_up: false, images, images_folder: None, passed_over, other_size: None };
+    at_least_one(found, path)
 }
 
 /// Natural order of names, in which `frame_2` comes before `frame_10`.
@@ -291,6 +309,30 @@ mod tests {
             let expected = format!("/fps: expected a number from 0.001 to 1000, found {found}");
             assert!(message.ends_with(&expected), "{message}");
         }
+    }
+
+    #[test]
+    fn sizes_that_differ_from_those_of_photographs_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for image in ["a.png", "b.png", "small/a.png", "small/b.png"] {
+            let side = if image.starts_with("small") { 8 } else { 16 };
+            std::fs::create_dir_all(at(image).parent().unwrap()).unwrap();
+            image::RgbImage::new(2 * side, side).save(at(image)).unwrap();
+        }
+        let matrix = "[[1, 0, 0, 4], [0, 1, 0, 5], [0, 0, 1, 6], [0, 0, 0, 1]]";
+        let frame = |name: &str| format!(r#"{{ "file_path": "{name}", "transform_matrix": {matrix} }}"#);
+        let found = |size: &str, images: Option<&str>| {
+            let text = format!(r#"{{ {size} "fl_x": 30, "frames": [{}, {}] }}"#, frame("a.png"), frame("b.png"));
+            std::fs::write(at("a.json"), text).unwrap();
+            let (downscale, images) = (Downscale::Factor(2), images.map(str::to_owned));
+            let found = cameras(&at("a.json"), &LoadOptions { downscale, images, ..LoadOptions::default() }).unwrap();
+            (found.cameras[0].1.intrinsics().width, found.other_size)
+        };
+        assert_eq!(found(r#""w": 64, "h": 32,"#, None), (16, Some([(64, 32), (32, 16)])));
+        assert_eq!(found(r#""w": 32, "h": 16,"#, None), (16, None));
+        assert_eq!(found("", None), (16, None));
+        assert_eq!(found(r#""w": 32, "h": 16,"#, Some("small")), (8, None));
     }
 
     #[test]

@@ -40,9 +40,10 @@ pub enum CaptureError {
     },
     /// A camera model without a pinhole image.
     #[error(
-        "{}: {place}: expected a camera model with a pinhole image, found camera model {}; undistort the capture with COLMAP first",
+        "{}: {place}: expected a camera model with a pinhole image, found camera model {}; {}",
         .path.display(),
-        .model.chars().take(60).collect::<String>().escape_debug()
+        .model.chars().take(60).collect::<String>().escape_debug(),
+        way_out(.model)
     )]
     UnsupportedModel {
         /// The file that names the model.
@@ -101,15 +102,35 @@ impl CaptureError {
         let place = format!("line {} column {}", error.line(), error.column());
         let why = error.to_string();
         let why = why.split(" at line ").next().unwrap_or_default();
-        // For text that the parser cannot begin to read, such as NaN, which JSON has no way to write, its message says
-        // what it wanted.
-        let found = if error.is_syntax() { format!("no JSON: {why}") } else { why.to_owned() };
+        let found = match no_number(path, error) {
+            Some(word) => format!("{word}, which is no number in JSON"),
+            // For text that the parser cannot begin to read, its message says what it wanted.
+            None if error.is_syntax() => format!("no JSON: {why}"),
+            None => why.to_owned(),
+        };
         Self::invalid(path, place, expected, found)
     }
 
     /// Error for a value that `scene` refuses, found at `place` of `path`.
     pub(super) fn scene(path: &Path, place: &str, error: SceneError) -> Self {
         Self::invalid(path, format!("{place}: {}", error.field), error.expected, error.found)
+    }
+}
+
+/// What Python writes for a number that JSON has no way to write, where that is what the parser stopped at.
+fn no_number(path: &Path, error: &serde_json::Error) -> Option<&'static str> {
+    let text = read_text(path).ok().filter(|_| error.is_syntax())?;
+    let line = text.split('\n').nth(error.line().checked_sub(1)?)?;
+    let rest = line.as_bytes().get(error.column().checked_sub(1)?..)?;
+    ["NaN", "Infinity"].into_iter().find(|word| rest.starts_with(word.as_bytes()))
+}
+
+/// How to use photographs of a camera model that has no pinhole image.
+fn way_out(model: &str) -> &'static str {
+    if model.eq_ignore_ascii_case("equirectangular") {
+        "cut perspective views out of the panoramas first"
+    } else {
+        "undistort the capture with COLMAP first"
     }
 }
 
@@ -140,4 +161,36 @@ pub(super) fn read_text(path: &Path) -> Result<String, CaptureError> {
         text.remove(0);
     }
     Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_python_writes_for_no_number_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        for (text, found) in [
+            ("{\n \"a\": [[NaN, 1]] }", "line 2 column 9: expected frames, found NaN, which is no number in JSON"),
+            ("{\n \"a\": -Infinity }", "expected frames, found Infinity, which is no number in JSON"),
+            ("{\n \"a\": nan }", "expected frames, found no JSON: expected ident"),
+            ("{ \"a\": ", "expected frames, found EOF while parsing a value"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let error = serde_json::from_str::<serde_json::Value>(text).unwrap_err();
+            let said = CaptureError::json(&path, "frames", &error).to_string();
+            assert!(said.ends_with(found), "{text}: {said}");
+        }
+    }
+
+    #[test]
+    fn panoramas_are_cut_rather_than_undistorted() {
+        let said = |model: &str| {
+            let (path, place) = ("a.json".into(), "/frames/0".to_owned());
+            CaptureError::UnsupportedModel { path, place, model: model.to_owned() }.to_string()
+        };
+        assert!(said("EQUIRECTANGULAR").ends_with("; cut perspective views out of the panoramas first"));
+        assert!(said("ORTHOPHOTO").ends_with("; undistort the capture with COLMAP first"));
+    }
 }

@@ -1,12 +1,14 @@
 use std::collections::HashSet;
 use std::io;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result};
+use centaur::atomic::{self, Staging};
 use centaur::capture::{Capture, View, is_capture};
 use centaur::evaluate::{Evaluator, held_out};
-use centaur::format::{ReadOptions, atomic_write, read_file, some_of, stored_bytes};
+use centaur::format::{FormatError, ReadOptions, atomic_write, read_file, some_of, stored_bytes};
 use centaur::metrics::{
     Evaluation, Lpips, Measured, Scores, ViewScore,
     report::{self, Picture, Report},
@@ -131,10 +133,20 @@ pub(super) fn run(args: &Args) -> Result<()> {
             settings: &training.as_ref().map_or_else(Vec::new, Record::settings),
             training: training.as_ref(),
             messages: &args.messages,
-            stop: &interrupt::stop_flag(),
+            stop: &interrupt::stop_flag(&args.messages),
         },
     )?;
-    let Some(evaluation) = evaluation else { return report_interruption(args, &notes) };
+    let evaluation = match evaluation {
+        ControlFlow::Continue(evaluation) => evaluation,
+        ControlFlow::Break(scored) => return report_interruption(args, &scored, held_out(&capture)?.len(), &notes),
+    };
+    if let Some(note) = without_pixels(&evaluation) {
+        let note = format!("{}: {note}", args.capture.display());
+        if !args.messages.json {
+            output::note(&note);
+        }
+        notes.push(note);
+    }
     if args.messages.json {
         output::print_json(&Noted { evaluation: &evaluation, notes: &notes })
     } else {
@@ -142,16 +154,28 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
 }
 
-/// Of a report that was begun pictures are there, and nothing that tells of all views.
-fn report_interruption(args: &Args, notes: &[String]) -> Result<()> {
+/// Of a report that was begun nothing is left: an earlier one is whole.
+fn report_interruption(args: &Args, scored: &[ViewScore], all: usize, notes: &[String]) -> Result<()> {
     interrupt::stopped(if args.messages.json {
-        output::print_json(&serde_json::json!({ "outcome": "interrupted", "notes": notes }))
+        let mut said = serde_json::json!({ "outcome": "interrupted", "views": scored, "of": all, "notes": notes });
+        if let Some(folder) = &args.output {
+            said["output"] = serde_json::json!(folder);
+        }
+        output::print_json(&said)
     } else {
-        let left = args.output.as_ref().map_or_else(
-            || "nothing is scored".to_owned(),
-            |folder| format!("{} has pictures of the views that were scored, but no report", folder.display()),
-        );
-        output::print(&format!("stopped; {left}"))
+        let folder = args.output.as_ref();
+        let left = folder.map_or_else(String::new, |folder| format!("; nothing was written to {}", folder.display()));
+        output::print(&format!("stopped; {} of {all} views were scored{left}", scored.len()))
+    })
+}
+
+/// Note if held-out views have no score, because their masks leave no pixel.
+pub(super) fn without_pixels(evaluation: &Evaluation) -> Option<String> {
+    let left_out = &evaluation.left_out;
+    (!left_out.is_empty()).then(|| {
+        let (count, all) = (left_out.len(), left_out.len() + evaluation.views.len());
+        let names = some_of(left_out.iter().map(String::as_str));
+        format!("{count} of {all} held-out views are not scored, because their masks leave no pixel: {names}")
     })
 }
 
@@ -264,48 +288,69 @@ pub(super) fn leftover(folder: &Path, capture: &Capture) -> Option<String> {
     })
 }
 
-/// Removes the files about all views: if this report remains without them, those of an earlier one would not describe
-/// its images.
-fn clear(folder: &Path) -> Result<()> {
-    for file in [REPORT, METRICS].map(|name| folder.join(name)) {
-        match std::fs::remove_file(&file) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => {
-                return Err(e).with_context(|| format!("{}: cannot replace", file.display()));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
+/// Files of a report, written aside and moved to their places when all are there: until then an earlier report is
+/// whole.
+struct Pages {
+    staging: Staging,
+    /// Each file, and its place.
+    files: Vec<(PathBuf, PathBuf)>,
 }
 
-/// Scores every held-out view, and writes the folder of `details`. `None` if stopped: images already written stay.
+impl Pages {
+    fn within(folder: &Path) -> Result<Self> {
+        let staging = Staging::within(folder).with_context(|| format!("{}: cannot write", folder.display()))?;
+        Ok(Self { staging, files: vec![] })
+    }
+
+    /// Writes a file that comes to be at `place`.
+    fn write(&mut self, place: &Path, bytes: &[u8]) -> Result<()> {
+        let place = atomic::place_of(place).with_context(|| format!("{}: cannot replace", place.display()))?;
+        let file = self.staging.path().join(self.files.len().to_string());
+        atomic_write(&file, bytes).map_err(|error| match error {
+            FormatError::Write { source, .. } => FormatError::Write { file: place.clone(), source },
+            other => other,
+        })?;
+        self.files.push((file, place));
+        Ok(())
+    }
+
+    /// Moves all files to their places.
+    fn publish(self) -> Result<()> {
+        let files: Vec<(&Path, &Path)> = self.files.iter().map(|(file, place)| (&**file, &**place)).collect();
+        atomic::replace_all(&self.staging, &files)
+            .map_err(|(file, error)| anyhow::Error::from(error).context(format!("{}: cannot replace", file.display())))
+    }
+}
+
+/// Scores every held-out view, and writes the folder of `details`. If stopped, nothing is written, and the scores are
+/// those of the views that were done.
 pub(super) fn evaluate(
     gpu: &Gpu,
     scene: &HybridScene,
     capture: &Capture,
     details: &Details<'_>,
-) -> Result<Option<Evaluation>> {
+) -> Result<ControlFlow<Vec<ViewScore>, Evaluation>> {
     let views = held_out(capture)?;
     let files = details.folder.map(|folder| report_pictures(folder, capture)).transpose()?.unwrap_or_default();
     let _folder = details.folder.map(output::Folder::make).transpose()?;
     let mut evaluator = Evaluator::new(gpu, scene, &views)?;
-    details.folder.map_or(Ok(()), clear)?;
+    let mut pages = details.folder.map(Pages::within).transpose()?;
     let (mut scores, mut left_out, mut pictures) = (vec![], vec![], vec![]);
     let mut progress = Views::new(details.messages, "scoring", views.len());
     for (i, view) in views.into_iter().enumerate() {
         if details.stop.load(Ordering::Relaxed) {
             progress.finish();
-            return Ok(None);
+            return Ok(ControlFlow::Break(scores));
         }
         let comparison = evaluator.compare(view)?;
         if comparison.is_empty {
             left_out.push(view.name.clone());
         } else {
             let score = comparison.score(&view.name, details.lpips)?;
-            if let Some(file) = files.get(i) {
+            if let Some((pages, file)) = pages.as_mut().zip(files.get(i)) {
                 let sheet = side_by_side(&comparison.truth, &comparison.render)?;
                 pictures.push(Picture::new(caption(&score), &sheet).with_context(|| view.name.clone())?);
-                write_png(file, &sheet)?;
+                pages.write(file, &png(file, &sheet)?)?;
             }
             scores.push(score);
         }
@@ -322,7 +367,7 @@ pub(super) fn evaluate(
         ..evaluation.measured
     };
     let evaluation = Evaluation { measured, left_out, ..evaluation };
-    if let Some(folder) = details.folder {
+    if let Some((folder, mut pages)) = details.folder.zip(pages) {
         let page = report::html(&Report {
             title: &capture.name,
             evaluation: &evaluation,
@@ -330,10 +375,11 @@ pub(super) fn evaluate(
             plots: &details.training.map_or_else(Vec::new, Record::plots),
             pictures: &pictures,
         });
-        atomic_write(&folder.join(REPORT), page.as_bytes())?;
-        atomic_write(&folder.join(METRICS), &serde_json::to_vec_pretty(&evaluation)?)?;
+        pages.write(&folder.join(REPORT), page.as_bytes())?;
+        pages.write(&folder.join(METRICS), &serde_json::to_vec_pretty(&evaluation)?)?;
+        pages.publish()?;
     }
-    Ok(Some(evaluation))
+    Ok(ControlFlow::Continue(evaluation))
 }
 
 /// Caption of a view's image in the report.
@@ -351,9 +397,17 @@ pub(super) fn write_png<P>(path: &Path, image: &ImageBuffer<P, Vec<u8>>) -> Resu
 where
     P: PixelWithColorType<Subpixel = u8>,
 {
+    Ok(atomic_write(path, &png(path, image)?)?)
+}
+
+/// An image as the bytes of an 8-bit PNG for `path`.
+fn png<P>(path: &Path, image: &ImageBuffer<P, Vec<u8>>) -> Result<Vec<u8>>
+where
+    P: PixelWithColorType<Subpixel = u8>,
+{
     let mut bytes = io::Cursor::new(vec![]);
     image.write_to(&mut bytes, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
-    Ok(atomic_write(path, bytes.get_ref())?)
+    Ok(bytes.into_inner())
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use centaur::capture::Capture;
 use centaur::metrics::plot::Plot;
 use centaur::optimize::{Phase, Progress, TrainOptions, Trained};
+use centaur::scene::OrderMode;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -124,14 +125,7 @@ impl Record {
 
     /// Settings as rows of a table.
     pub(super) fn settings(&self) -> Vec<(String, String)> {
-        let text = |name: &str, value: &Value| match value {
-            Value::String(text) => text.clone(),
-            // λ always has a value, and JSON cannot represent infinity.
-            Value::Null if name == "lambda" => "inf".to_owned(),
-            Value::Null => "default".to_owned(),
-            other => other.to_string(),
-        };
-        let settings = self.settings.iter().map(|(name, value)| (name.replace('_', " "), text(name, value)));
+        let settings = self.settings.iter().map(|(name, value)| as_flag(name, value));
         let of_capture = [
             self.points.map(|n| ("points of the capture".to_owned(), n.to_string())),
             self.masks.map(|masks| ("masks".to_owned(), masks.to_string())),
@@ -150,12 +144,7 @@ impl Record {
             if curves.phase != Phase::Warmup {
                 splats.extend(at().zip(curves.splats.iter().map(|&n| n as f64)));
             }
-            let what = match curves.phase {
-                Phase::Surface => "splats",
-                Phase::Warmup => "maps",
-                Phase::Joint => "all",
-            };
-            parts.push((before, what.to_owned()));
+            parts.push((before, curves.phase.name().to_owned()));
             before += f64::from(curves.of);
         }
         // A run of one phase has no named parts.
@@ -169,6 +158,24 @@ impl Record {
             })
             .collect()
     }
+}
+
+/// An option as the flag of `centaur train` that sets it, and its value as given there; for switches, `on` or `off`.
+fn as_flag(name: &str, value: &Value) -> (String, String) {
+    let flag = if name == "split" { "all-views".to_owned() } else { name.replace('_', "-") };
+    let switch = |is_on: bool| String::from(if is_on { "on" } else { "off" });
+    let given = match (name, value) {
+        ("split", _) => switch(value == "all"),
+        ("planar" | "shell", Value::Bool(true)) => "auto".to_owned(),
+        (_, Value::Bool(is_on)) => switch(*is_on),
+        ("mode", Value::String(mode)) if mode == OrderMode::SurfaceConsistent.name() => "surface-consistent".to_owned(),
+        (_, Value::String(text)) => text.clone(),
+        // λ always has a value, and JSON cannot represent infinity.
+        ("lambda", Value::Null) => "inf".to_owned(),
+        (_, Value::Null) => "default".to_owned(),
+        (_, other) => other.to_string(),
+    };
+    (format!("--{flag}"), given)
 }
 
 /// Options by field name. Converted via text, in which an f32 such as 0.01 keeps its short form.
@@ -204,7 +211,10 @@ fn thinned(history: &[Progress]) -> Vec<Curves> {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory as _;
+
     use super::*;
+    use crate::cli::Cli;
 
     fn report(phase: Phase, iteration: u32, of: u32) -> Progress {
         let psnr = iteration.is_multiple_of(500).then_some(20.0);
@@ -238,7 +248,9 @@ mod tests {
         let rested = |x: f64| (15_000.0..=24_000.0).contains(&x);
         assert!(!plots[2].points.iter().any(|&(x, _)| rested(x) && x != 15_000.0));
         let part = |x: f64, name: &str| (x, name.to_owned());
-        assert!(plots.iter().all(|p| p.parts == [part(0.0, "splats"), part(15_000.0, "maps"), part(24_000.0, "all")]));
+        assert!(
+            plots.iter().all(|p| p.parts == [part(0.0, "surface"), part(15_000.0, "warm-up"), part(24_000.0, "joint")])
+        );
     }
 
     #[test]
@@ -256,8 +268,24 @@ mod tests {
             Record { settings, ..record(&[]) }.settings()
         };
         let value = |lambda: f32, name: &str| rows(lambda).into_iter().find(|row| row.0 == name).unwrap().1;
-        assert_eq!([0.01, f32::INFINITY].map(|lambda| value(lambda, "lambda")), ["0.01", "inf"]);
-        assert_eq!(["ssim weight", "max floats"].map(|name| value(0.01, name)), ["0.2", "default"]);
+        assert_eq!([0.01, f32::INFINITY].map(|lambda| value(lambda, "--lambda")), ["0.01", "inf"]);
+        assert_eq!(["--ssim-weight", "--max-floats"].map(|name| value(0.01, name)), ["0.2", "default"]);
+        assert_eq!(
+            ["--mode", "--planar", "--all-views"].map(|name| value(0.01, name)),
+            ["surface-consistent", "auto", "off"]
+        );
+        assert_eq!(["--density", "--antialias"].map(|name| value(0.01, name)), ["mcmc", "off"]);
+        // Each is a flag, and each value of several that a flag has is one.
+        let command = Cli::command();
+        let train = command.find_subcommand("train").unwrap();
+        for (flag, value) in rows(0.01).into_iter().filter(|(name, _)| name.starts_with("--")) {
+            let flag = train.get_arguments().find(|of| of.get_long() == Some(&flag[2..])).expect(&flag);
+            let values: Vec<String> = flag.get_possible_values().iter().map(|v| v.get_name().to_owned()).collect();
+            assert!(
+                !flag.get_action().takes_values() || values.is_empty() || values.contains(&value),
+                "{value}: {values:?}"
+            );
+        }
     }
 
     #[test]
@@ -277,7 +305,7 @@ mod tests {
         let old = record(&[]);
         assert!(old.plots().is_empty() && old.seconds_per_iteration.is_none() && old.training_seconds.is_none());
         let row = |name: &str, value: &str| (name.to_owned(), value.to_owned());
-        assert_eq!(old.settings(), [row("mode", "stable"), row("ssim weight", "0.2")]);
+        assert_eq!(old.settings(), [row("--mode", "stable"), row("--ssim-weight", "0.2")]);
         for extras in [serde_json::json!("a note"), serde_json::json!({ "capture": "c", "settings": {}, "history": 3 })]
         {
             assert!(Record::read(&extras).is_none(), "{extras}");

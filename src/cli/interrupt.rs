@@ -12,6 +12,7 @@ use anyhow::{Context as _, Result};
 use centaur::atomic;
 
 use super::output;
+use super::shared::MessageArgs;
 
 /// Of a terminal that goes away, or a connection to it.
 const SIGHUP: i32 = 1;
@@ -25,6 +26,8 @@ const ONE_WISH: Duration = Duration::from_millis(300);
 /// Stop request of a command that stops by itself.
 struct Stop {
     flag: Arc<AtomicBool>,
+    /// Whether it tells a program of it, in JSON.
+    json: bool,
     /// By which signal it was asked first.
     by: Option<i32>,
     /// Which signal, of those that end it when they come once more, was the first, and when.
@@ -79,10 +82,10 @@ fn survives(command: &mut Command) -> bool {
 }
 
 /// Flag for a command to poll, which the next signal sets instead of ending the program; a further signal ends it.
-pub(super) fn stop_flag() -> Arc<AtomicBool> {
+pub(super) fn stop_flag(messages: &MessageArgs) -> Arc<AtomicBool> {
     let flag = Arc::default();
-    *STOP.lock().unwrap_or_else(PoisonError::into_inner) =
-        Some(Stop { flag: Arc::clone(&flag), by: None, asked: None });
+    let stop = Stop { flag: Arc::clone(&flag), json: messages.json, by: None, asked: None };
+    *STOP.lock().unwrap_or_else(PoisonError::into_inner) = Some(stop);
     flag
 }
 
@@ -108,15 +111,16 @@ pub(super) fn stopped(printed: Result<()>) -> Result<()> {
 
 /// Says on stderr that the signal was heard, since a step may take minutes; with --quiet, too, which is of what nobody
 /// asked for. By a thread of its own: where nobody reads stderr, the next signal is heard all the same.
-fn acknowledge() {
-    let _ = std::thread::Builder::new().spawn(|| {
+fn acknowledge(as_json: bool) {
+    let _ = std::thread::Builder::new().spawn(move || {
+        let said = "stopping after the current step, and keeping what is done; a second time ends at once";
+        if as_json {
+            return output::say(said, as_json);
+        }
         let mut stderr = io::stderr();
         // Starts a new line after a progress bar or the terminal's `^C`.
         let start = if stderr.is_terminal() { "\n" } else { "" };
-        let _ = writeln!(
-            stderr,
-            "{start}note: stopping after the current step, and keeping what is done; a second time ends at once"
-        );
+        let _ = writeln!(stderr, "{start}note: {said}");
     });
 }
 
@@ -129,7 +133,7 @@ fn obey(signal: i32) {
             // Before the command can see that it was asked.
             stop.by = stop.by.or(Some(signal));
             if !stop.flag.swap(true, Ordering::Relaxed) {
-                acknowledge();
+                acknowledge(stop.json);
             }
             return;
         }

@@ -54,6 +54,20 @@ pub(super) fn note(text: &str) {
     let _ = writeln!(io::stderr(), "note: {}", without_codes(&one_line(text)));
 }
 
+/// Tells a note while a command goes on: a program, by [`json_line`], or else a person.
+pub(super) fn say(text: &str, as_json: bool) {
+    if as_json {
+        json_line(&serde_json::json!({ "note": without_codes(text) }));
+    } else {
+        note(text);
+    }
+}
+
+/// Prints one JSON object on a line of stderr; a reader that has gone away does not stop the command.
+pub(super) fn json_line(value: &serde_json::Value) {
+    let _ = writeln!(io::stderr(), "{value}");
+}
+
 /// Removes ` (os error 2)` and the like, with which Rust's I/O errors end and which add no information for users.
 pub(super) fn without_codes(text: &str) -> Cow<'_, str> {
     const BEGIN: &str = " (os error ";

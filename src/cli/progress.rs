@@ -3,9 +3,11 @@
 use std::collections::VecDeque;
 use std::io::{self, Write as _};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
+use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use centaur::format::one_line;
 use centaur::optimize::{Phase, Progress};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
@@ -86,17 +88,12 @@ impl Reporter {
         if self.spinner.take().is_some() {
             self.bar.set_style(style("{prefix:9} {bar:16} {pos}/{len}  {wide_msg}"));
         }
-        let label = match p.phase {
-            Phase::Surface => "surface",
-            Phase::Warmup => "maps",
-            Phase::Joint => "training",
-        };
         // Splats rest in the warm-up.
         let splats = if p.phase == Phase::Warmup { String::new() } else { format!("  {} splats", p.splats) };
         let held_out = self.held_out.map_or(String::new(), |db| format!("  held-out {db:.2} dB"));
         let text = format!("{times}loss {:.4}{splats}{held_out}", p.loss);
         // Unlike `set_prefix` and `set_message`, these do not draw.
-        self.bar.clone().with_prefix(label).with_message(text);
+        self.bar.clone().with_prefix(p.phase.name()).with_message(text);
         self.bar.update(|state| {
             state.set_len(u64::from(p.of));
             state.set_pos(u64::from(p.iteration));
@@ -109,6 +106,11 @@ impl Reporter {
         self.bar.reset_elapsed();
         self.bar.set_message(what);
         self.spinner = Some(Spinner::new(&self.bar));
+    }
+
+    /// Tells a note above the bar.
+    pub(super) fn say(&self, text: &str, as_json: bool) {
+        self.bar.suspend(|| output::say(text, as_json));
     }
 
     /// Leaves the last report on the terminal.
@@ -210,6 +212,76 @@ impl Views {
     }
 }
 
+/// Progress of the jobs of a benchmark, several of which may be done at the same time.
+pub(super) struct Jobs {
+    bar: ProgressBar,
+    messages: MessageArgs,
+    of: usize,
+    start: Instant,
+    /// Number of finished jobs, and their pace.
+    done: Mutex<(usize, Pace)>,
+}
+
+impl Jobs {
+    pub(super) fn new(messages: &MessageArgs, of: usize) -> Self {
+        let bar = output::bar(messages, of as u64);
+        bar.set_style(style("{pos}/{len} jobs  {bar:16}  {prefix}  {wide_msg}"));
+        let (messages, start, mut pace) = (messages.clone(), Instant::now(), Pace::default());
+        pace.reach(0, start);
+        let jobs = Self { bar, messages, of, start, done: Mutex::new((0, pace)) };
+        jobs.estimate(jobs.of, &Pace::default());
+        jobs
+    }
+
+    /// Shows which job was begun last.
+    pub(super) fn begin(&self, job: &str) {
+        self.bar.set_message(one_line(job).into_owned());
+    }
+
+    /// Counts a job that has ended, in this way; one of another runner, which may be tried again, has none.
+    pub(super) fn end(&self, job: &str, how: Option<&str>) {
+        let mut done = self.done.lock().unwrap_or_else(PoisonError::into_inner);
+        let (count, pace) = &mut *done;
+        *count += 1;
+        pace.reach(*count as u64, Instant::now());
+        self.estimate(self.of.saturating_sub(*count), pace);
+        self.bar.inc(1);
+        if how.is_some() && tells_programs(&self.messages) {
+            let (count, of, seconds) = (*count, self.of, self.start.elapsed().as_secs_f64());
+            tell(&serde_json::json!({
+                "phase": "jobs", "job": count, "of": of, "name": job, "outcome": how, "seconds": seconds
+            }));
+        }
+    }
+
+    fn estimate(&self, left: usize, pace: &Pace) {
+        self.bar.set_prefix(format!("ETA {}", pace.time_of(left as u64)));
+    }
+
+    /// Prints a line above the bar, if there is one.
+    pub(super) fn print(&self, line: &str) {
+        self.bar.println(one_line(line));
+    }
+
+    /// Tells why a job has failed, with --quiet too.
+    pub(super) fn fail(&self, why: &str) {
+        if self.messages.json {
+            return output::say(why, true);
+        }
+        let _ = self.bar.suspend(|| writeln!(io::stderr(), "{}", output::without_codes(&one_line(why))));
+    }
+
+    /// Tells a note above the bar.
+    pub(super) fn say(&self, text: &str) {
+        self.bar.suspend(|| output::say(text, self.messages.json));
+    }
+
+    /// Removes the bar from the terminal.
+    pub(super) fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
+
 /// Reports that the pace is measured by: some hundreds of iterations, among which are evaluations of held-out views.
 const MEASURED: usize = 64;
 
@@ -266,9 +338,9 @@ fn tells_programs(messages: &MessageArgs) -> bool {
     messages.json && !messages.quiet
 }
 
-/// Prints progress; a reader that has gone away does not stop the command.
+/// Prints progress.
 fn tell(progress: &impl serde::Serialize) {
-    let _ = writeln!(io::stderr(), "{}", serde_json::json!({ "progress": progress }));
+    output::json_line(&serde_json::json!({ "progress": progress }));
 }
 
 #[cfg(test)]
@@ -350,17 +422,17 @@ mod tests {
         let phases = [(Phase::Surface, 20), (Phase::Warmup, 30), (Phase::Joint, 20)];
         let (lines, left) = drawn(&phases, 0);
         assert_eq!(lines.last(), Some(&left));
-        let is_report = |line: &&String| ["surface ", "maps ", "training "].iter().any(|label| line.starts_with(label));
+        let is_report = |line: &&String| ["surface ", "warm-up ", "joint "].iter().any(|label| line.starts_with(label));
         let reports: Vec<&String> = lines.iter().filter(is_report).collect();
         let expected = [
             ("surface ", " 10/20  –/s  run ETA –  loss 0.1000  7 splats"),
             ("surface ", "  loss 0.1000  7 splats  held-out 20.00 dB"),
-            ("maps ", " 10/30  –/s  run ETA –  loss 0.1000"),
-            ("maps ", "  loss 0.1000"),
-            ("maps ", "  loss 0.1000  held-out 20.00 dB"),
-            ("training ", " 10/20  –/s  ETA –  loss 0.1000  7 splats"),
-            ("training ", "  loss 0.1000  7 splats  held-out 20.00 dB"),
-            ("training ", " 20/20  loss 0.1000  7 splats  held-out 20.00 dB"),
+            ("warm-up ", " 10/30  –/s  run ETA –  loss 0.1000"),
+            ("warm-up ", "  loss 0.1000"),
+            ("warm-up ", "  loss 0.1000  held-out 20.00 dB"),
+            ("joint ", " 10/20  –/s  ETA –  loss 0.1000  7 splats"),
+            ("joint ", "  loss 0.1000  7 splats  held-out 20.00 dB"),
+            ("joint ", " 20/20  loss 0.1000  7 splats  held-out 20.00 dB"),
         ];
         assert_eq!(reports.len(), expected.len(), "{lines:#?}");
         for (line, (start, end)) in reports.iter().zip(expected) {
@@ -420,5 +492,17 @@ mod tests {
             told.push(views.bar.message());
         }
         assert_eq!(told, ["ETA –", "ETA –", "ETA 0s", ""]);
+    }
+
+    #[test]
+    fn the_time_of_jobs_is_known_once_one_is_done() {
+        let jobs = Jobs::new(&MessageArgs { quiet: true, json: false }, 3);
+        let mut told = vec![jobs.bar.prefix()];
+        for _ in 0..3 {
+            thread::sleep(Duration::from_millis(2));
+            jobs.end("a", Some("done"));
+            told.push(jobs.bar.prefix());
+        }
+        assert_eq!(told, ["ETA –", "ETA 0s", "ETA 0s", "ETA 0s"]);
     }
 }

@@ -341,7 +341,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // Notes on the scene; for cameras in the same file, both have the same notes.
     let is_said = |note: &&String| args.is_embedded() && shot.notes.contains(note);
     let notes: Vec<&String> = file.notes.iter().filter(|note| !is_said(note)).collect();
-    let stop = interrupt::stop_flag();
+    let stop = interrupt::stop_flag(&args.messages);
     let drawn = draw(&gpu, &file, &shot, &pictures, args, &stop)?;
     if drawn < pictures.len() {
         return report_interruption(&pictures[..drawn], pictures.len(), &notes, &shot, args);

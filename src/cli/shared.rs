@@ -201,7 +201,7 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
         return Ok(resized(format::read_cameras(path, sampling)?, sampling, options));
     }
     let read = capture::cameras(path, options)?;
-    let Cameras { mut cameras, fps: stated, y_up, images_folder: images, passed_over: others, .. } = read;
+    let Cameras { mut cameras, fps: stated, y_up, images_folder: images, passed_over: others, other_size, .. } = read;
     let fps = sampling.fps.or(stated);
     // Only paths state a rate, at whichever rate they are read. A frame of a path has the time of its place in the
     // whole path, even if it is the only one selected; photographs and other stills have no time.
@@ -209,7 +209,11 @@ pub(super) fn read_cameras(path: &Path, sampling: &Sampling<'_>, options: &LoadO
     let wanted = picked(path, &cameras, sampling)?;
     retain_rows(&mut cameras, &wanted);
     retain_rows(&mut times, &wanted);
-    Ok(CameraFile { cameras, fps, y_up, times, near: None, images, notes: passed_over(&others) })
+    let mut notes = passed_over(&others);
+    notes.extend(other_size.map(|[(w, h), (width, height)]| {
+        format!("states pictures of {w}×{h}, but has photographs of {width}×{height}: cameras have their size")
+    }));
+    Ok(CameraFile { cameras, fps, y_up, times, near: None, images, notes })
 }
 
 /// From how many places a scene without cameras is seen.
@@ -431,7 +435,7 @@ fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions)
 }
 
 /// How much is said, and to whom.
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 #[command(next_help_heading = "Messages")]
 pub(super) struct MessageArgs {
     /// Show no progress: no bar, and no JSON lines on stderr

@@ -5,6 +5,7 @@ mod notes;
 mod surface;
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,8 +15,8 @@ use centaur::atomic::Aside;
 use centaur::capture::Capture;
 use centaur::evaluate;
 use centaur::format::{gltf, ply};
-use centaur::metrics::{Evaluation, Lpips};
-use centaur::optimize::{self, Checkpoints, MeshSource, Outcome, RefinedPose, Session, TrainOptions, Trained};
+use centaur::metrics::{Evaluation, Lpips, ViewScore};
+use centaur::optimize::{self, Checkpoints, Event, MeshSource, Outcome, RefinedPose, Session, TrainOptions, Trained};
 use centaur::render::gpu::Gpu;
 
 pub(super) use self::args::Args;
@@ -55,7 +56,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         told.push(format!("{}: exists, and will be replaced when this training is done", args.output.display()));
     }
     tell(&told, args);
-    let trained = train(args, (&capture, mesh, &options), &gpu, &stop, aside)?;
+    let trained = train(args, (&capture, mesh, &options), &gpu, &stop, aside, &mut told)?;
     if matches!(trained.outcome, Outcome::Interrupted) {
         let checkpoint = args.checkpoint();
         let line = format!("saved {}; the same command with --resume continues", checkpoint.display());
@@ -69,7 +70,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let record = Record::new(&capture, &options, gpu.adapter(), &trained)?;
     write(args, &capture, &trained, &record)?;
     let scored = scores.then(|| score(args, &capture, &trained, &record, (&gpu, lpips.as_ref()), &stop)).transpose()?;
-    if let Some(None) = scored {
+    if let Some(ControlFlow::Break(_)) = scored {
         let checkpoint = args.checkpoint();
         let mut left = vec![("scene", &args.output)];
         let mut line = format!("wrote {}, without scores; centaur eval gives them", args.output.display());
@@ -79,10 +80,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
         }
         return report_interruption(args, &left, &line, &told);
     }
-    let evaluation = scored.flatten();
-    let capped = notes::capped(args, &trained, &gpu);
-    tell(capped.as_slice(), args);
-    told.extend(capped);
+    let evaluation = scored.and_then(ControlFlow::continue_value);
+    let empty =
+        evaluation.as_ref().and_then(eval::without_pixels).map(|note| format!("{}: {note}", args.capture.display()));
+    let last: Vec<String> = notes::capped(args, &trained, &gpu).into_iter().chain(empty).collect();
+    tell(&last, args);
+    told.extend(last);
     let printed = if args.messages.json {
         print_json(args, &capture, &trained, &told, evaluation.as_ref())
     } else {
@@ -102,13 +105,15 @@ fn tell(told: &[String], args: &Args) {
     }
 }
 
-/// Trains. If training fails before it has saved a checkpoint, the file in `aside` is restored.
+/// Trains, and adds the notes of it to `told`. If training fails before it has saved a checkpoint, the file in `aside`
+/// is restored.
 fn train(
     args: &Args,
     (capture, mesh, options): (&Capture, MeshSource, &TrainOptions),
     gpu: &Gpu,
     stop: &AtomicBool,
     aside: Option<Aside>,
+    told: &mut Vec<String>,
 ) -> Result<Trained> {
     let checkpoint = args.checkpoint();
     let mut reporter = Reporter::new(&args.messages, options.phases(&mesh));
@@ -120,7 +125,14 @@ fn train(
             Checkpoints::Save(checkpoint.clone())
         },
         stop,
-        progress: &mut |progress| reporter.update(progress),
+        progress: &mut |event| match event {
+            Event::Progress(progress) => reporter.update(progress),
+            Event::Unsaved(error) => {
+                let note = format!("{error}: no checkpoint is saved; the training goes on, and tries again");
+                reporter.say(&note, args.messages.json);
+                told.push(note);
+            }
+        },
     };
     let trained = optimize::train(capture, mesh, options, session);
     reporter.finish();
@@ -136,7 +148,7 @@ fn train(
 
 /// Stop flag, set by signals, and by the end of stdin if requested.
 fn stop_flag(args: &Args) -> Result<Arc<AtomicBool>> {
-    let stop = interrupt::stop_flag();
+    let stop = interrupt::stop_flag(&args.messages);
     if args.stop_at_eof {
         // A lost terminal sends hangups to all: if one ends the process at the other end, the end of stdin reports it.
         // (`interrupt` may have found hangups ignored.)
@@ -192,7 +204,7 @@ fn write(args: &Args, capture: &Capture, trained: &Trained, record: &Record) -> 
     })
 }
 
-/// Scores the held-out views; `None` if stopped.
+/// Scores the held-out views, as [`eval::evaluate`].
 fn score(
     args: &Args,
     capture: &Capture,
@@ -200,7 +212,7 @@ fn score(
     record: &Record,
     (gpu, lpips): (&Gpu, Option<&Lpips>),
     stop: &AtomicBool,
-) -> Result<Option<Evaluation>> {
+) -> Result<ControlFlow<Vec<ViewScore>, Evaluation>> {
     let mut settings = record.settings();
     let origin = trained.surface.map(notes::in_words);
     settings.extend(origin.map(|origin| ("surface".to_owned(), origin.to_owned())));

@@ -229,7 +229,9 @@ impl Evaluation {
         }
         rows.push(("adapter", m.adapter.clone()));
         if !self.left_out.is_empty() {
-            rows.push(("left out", format!("{}, of which masks leave nothing", self.left_out.join(", "))));
+            let (count, all) = (self.left_out.len(), self.left_out.len() + self.views.len());
+            let names = self.left_out.join(", ");
+            rows.push(("not scored", format!("{count} of {all} held-out views: masks leave no pixel of {names}")));
         }
         if let Some(mean) = &self.mean {
             rows.push(("PSNR before 8 bits", format!("{:.3} dB", mean.psnr_float)));
@@ -374,6 +376,14 @@ pub(super) mod tests {
         assert!(!protocol([false; 2]).contains(said));
         assert!(protocol([true; 2]).contains(&format!("; {said}; 8-bit")));
         assert!(protocol([true, false]).contains(&format!("; {said} where views have them; 8-bit")));
+    }
+
+    #[test]
+    fn views_of_which_masks_leave_nothing_are_counted() {
+        let e = Evaluation { left_out: vec!["c.jpg".to_owned()], ..example() };
+        let row = "not scored          1 of 3 held-out views: masks leave no pixel of c.jpg\n";
+        assert!(e.to_string().contains(row) && !example().to_string().contains("not scored"), "{e}");
+        assert_eq!(serde_json::to_value(e).unwrap()["left_out"], serde_json::json!(["c.jpg"]));
     }
 
     #[test]

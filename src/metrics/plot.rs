@@ -24,6 +24,8 @@ const WIDTH: f64 = 420.0;
 const HEIGHT: f64 = 240.0;
 /// Margins: left, top, right, bottom.
 const MARGIN: [f64; 4] = [52.0, 30.0, 14.0, 36.0];
+/// Approximate mean width of a letter.
+const LETTER: f64 = 5.5;
 /// Points beyond this many are averaged: more cannot be distinguished at this width.
 const MOST_POINTS: usize = 400;
 
@@ -36,7 +38,9 @@ pub fn svg(plot: &Plot) -> String {
         .filter(|(x, y)| x.is_finite() && y.is_finite() && x.abs() < 1e300 && y.abs() < 1e300)
         .collect();
     let points = averaged(&points);
-    let (x0, x1) = range(points.iter().map(|p| p.0), 0.0);
+    // The first part may begin before the first point.
+    let begin = plot.parts.first().map(|(x, _)| *x).filter(|x| points.first().is_some_and(|p| *x < p.0));
+    let (x0, x1) = range(points.iter().map(|p| p.0).chain(begin), 0.0);
     let (y0, y1) = range(points.iter().map(|p| p.1), 0.05);
     let px = |x: f64| MARGIN[0] + (x - x0) / (x1 - x0) * (WIDTH - MARGIN[0] - MARGIN[2]);
     let py = |y: f64| HEIGHT - MARGIN[3] - (y - y0) / (y1 - y0) * (HEIGHT - MARGIN[1] - MARGIN[3]);
@@ -60,9 +64,12 @@ pub fn svg(plot: &Plot) -> String {
     }
     text(WIDTH - MARGIN[2], HEIGHT - 5.0, "end", &escaped(&plot.x_label));
     let within = |x: f64| (x0..=x1).contains(&x);
-    // The first part may begin before the first point.
-    for (x, name) in plot.parts.iter().filter(|(x, _)| *x <= x1) {
-        text(px(x.max(x0)) + 4.0, MARGIN[1] + 8.0, "start", &escaped(name));
+    let (mut line, mut end) = (0.0, 0.0);
+    for (x, name) in plot.parts.iter().filter(|(x, _)| within(*x)) {
+        // Below the name before it, where that needs more room than its part has.
+        line = if px(*x) < end { line + 1.0 } else { 0.0 };
+        end = px(*x) + LETTER * name.chars().count() as f64;
+        text(px(*x) + 4.0, MARGIN[1] + 8.0 + 12.0 * line, "start", &escaped(name));
     }
     let (left, right) = (MARGIN[0], WIDTH - MARGIN[2]);
     let rules: String = (y_ticks.iter()).fold(String::new(), |mut d, &y| {
@@ -172,6 +179,29 @@ mod tests {
         let labels: Vec<String> =
             log_ticks(0.055_f64.log10(), 0.095_f64.log10()).iter().map(|t| short(10_f64.powf(*t))).collect();
         assert_eq!(labels, ["0.06", "0.07", "0.08", "0.09"]);
+    }
+
+    #[test]
+    fn names_of_parts_are_not_printed_over_each_other() {
+        let places = |points: &[f64]| -> Vec<(f64, f64)> {
+            let part = |x: f64, name: &str| (x, name.to_owned());
+            let parts = vec![part(0.0, "surface"), part(30.0, "warm-up"), part(50.0, "joint")];
+            let points = points.iter().map(|&x| (x, x)).collect();
+            let text = svg(&Plot { parts, points, ..Plot::default() });
+            let number = |line: &str, name: &str| -> f64 {
+                line.split_once(&format!("{name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
+            };
+            let named = text.lines().filter(|line| line.contains("\"start\""));
+            named.map(|line| (number(line, " x"), number(line, " y"))).collect()
+        };
+        // As where held-out views are measured at the end of each phase only.
+        for points in [&[30.0, 50.0, 110.0][..], &[10.0, 20.0, 30.0, 110.0]] {
+            let [first, second, third] = places(points)[..] else { panic!("{points:?}: {:?}", places(points)) };
+            assert!(first.0 < second.0 && second.0 < third.0 && first.1 == second.1, "{points:?}");
+        }
+        // Parts too narrow for their names.
+        let narrow = places(&[30.0, 3000.0]);
+        assert!(narrow[0].1 < narrow[1].1 && narrow[1].1 < narrow[2].1, "{narrow:?}");
     }
 
     #[test]

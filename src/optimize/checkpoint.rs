@@ -24,7 +24,7 @@ use crate::{
 /// Version of the layout and of the rules that a run goes on by: written, and the only one that is read. An option that
 /// a checkpoint does not hold has its default when a run goes on: a new one, whose default is not what was done before
 /// there was one, is such a rule.
-pub const VERSION: u32 = 19;
+pub const VERSION: u32 = 20;
 
 /// Key of [`Header`] in the file's metadata.
 const HEADER: &str = "centaur_checkpoint";

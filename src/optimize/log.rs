@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::Phase;
+use super::{Phase, checkpoint::CheckpointError};
 
 /// A progress report, made every few iterations.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -21,6 +21,15 @@ pub struct Progress {
     pub psnr: Option<f64>,
     /// Seconds since the reporting run began, excluding the time before it was resumed.
     pub seconds: f64,
+}
+
+/// What a run tells while it goes on.
+#[derive(Clone, Copy, Debug)]
+pub enum Event<'a> {
+    /// A progress report.
+    Progress(&'a Progress),
+    /// A checkpoint could not be written, for the first time in this run, which goes on.
+    Unsaved(&'a CheckpointError),
 }
 
 /// Counts of the triangles of a surface made from the capture, by the verdict of held-back training views. The others
@@ -58,9 +67,11 @@ pub(super) struct Log {
     pub(super) reached: (Phase, u32),
     /// Number of iterations repeated because lists were too short for them.
     pub(super) repeated_iterations: u32,
+    /// Whether it was told that a checkpoint could not be written.
+    pub(super) told_unsaved: bool,
 }
 
-/// History and times of the whole training, including before a stop.
+/// History, times and memory of the whole training, including before a stop.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Past {
     /// The reports that are also made by an uninterrupted run.
@@ -69,13 +80,16 @@ pub(super) struct Past {
     seconds: f64,
     joint_seconds: f64,
     joint_iterations: u32,
+    /// Peak bytes of buffers on the adapter.
+    peak_gpu_bytes: u64,
 }
 
 impl Log {
     pub(super) fn new() -> Self {
         let start = Instant::now();
         let reached = (Phase::Surface, 0);
-        Self { start, counted: start, past: Past::default(), reached, repeated_iterations: 0 }
+        let past = Past::default();
+        Self { start, counted: start, past, reached, repeated_iterations: 0, told_unsaved: false }
     }
 
     /// Seconds since the run began.
@@ -104,6 +118,12 @@ impl Log {
         }
     }
 
+    /// Counts the peak bytes of this run; returns those of the whole training.
+    pub(super) fn peak_gpu_bytes(&mut self, bytes: u64) -> u64 {
+        self.past.peak_gpu_bytes = self.past.peak_gpu_bytes.max(bytes);
+        self.past.peak_gpu_bytes
+    }
+
     /// Seconds of all phases and of what happens between them, until now.
     pub(super) fn training_seconds(&self) -> f64 {
         self.past.seconds + self.counted.elapsed().as_secs_f64()
@@ -124,6 +144,7 @@ impl Past {
     pub(super) fn to_words(&self) -> Vec<u32> {
         let mut words = [self.seconds, self.joint_seconds].map(halves).as_flattened().to_vec();
         words.push(self.joint_iterations);
+        words.extend(low_and_high(self.peak_gpu_bytes));
         for Progress { phase, iteration, of, loss, splats, psnr, seconds } in &self.history {
             let phase = PHASES.iter().position(|p| p == phase).unwrap_or(0) as u32;
             words.extend([phase, *iteration, *of, u32::try_from(*splats).unwrap_or(u32::MAX)]);
@@ -134,7 +155,7 @@ impl Past {
 
     /// Decodes the words of [`Self::to_words`]; `None` if they are something else.
     pub(super) fn from_words(words: &[u32]) -> Option<Self> {
-        let ([t0, t1, j0, j1, joint_iterations], rows) = words.split_first_chunk()?;
+        let ([t0, t1, j0, j1, joint_iterations, b0, b1], rows) = words.split_first_chunk()?;
         let (rows, []) = rows.as_chunks() else { return None };
         let history = rows.iter().map(|&[phase, iteration, of, splats, l0, l1, p0, p1, s0, s1]| {
             Some(Progress {
@@ -152,16 +173,25 @@ impl Past {
             seconds: whole(*t0, *t1),
             joint_seconds: whole(*j0, *j1),
             joint_iterations: *joint_iterations,
+            peak_gpu_bytes: joined(*b0, *b1),
         })
     }
 }
 
 fn halves(value: f64) -> [u32; 2] {
-    [value.to_bits() as u32, (value.to_bits() >> 32) as u32]
+    low_and_high(value.to_bits())
 }
 
 fn whole(low: u32, high: u32) -> f64 {
-    f64::from_bits(u64::from(high) << 32 | u64::from(low))
+    f64::from_bits(joined(low, high))
+}
+
+fn low_and_high(bits: u64) -> [u32; 2] {
+    [bits as u32, (bits >> 32) as u32]
+}
+
+fn joined(low: u32, high: u32) -> u64 {
+    u64::from(high) << 32 | u64::from(low)
 }
 
 #[cfg(test)]
@@ -182,13 +212,14 @@ mod tests {
         let report =
             |phase, psnr| Progress { phase, iteration: 10, of: 90, loss: 0.1, splats: 7, psnr, seconds: 1.0 / 3.0 };
         let history = vec![report(Phase::Surface, None), report(Phase::Warmup, Some(20.1)), report(Phase::Joint, None)];
-        let past = Past { history, seconds: 0.9, joint_seconds: 0.7, joint_iterations: 3 };
+        let peak_gpu_bytes = (3 << 32) + 1;
+        let past = Past { history, seconds: 0.9, joint_seconds: 0.7, joint_iterations: 3, peak_gpu_bytes };
         let words = past.to_words();
         assert_eq!(Past::from_words(&words), Some(past));
         assert_eq!(Past::from_words(&Past::default().to_words()), Some(Past::default()));
         assert_eq!(Past::from_words(&words[..words.len() - 1]), None);
         assert_eq!(Past::from_words(&[]), None);
-        assert_eq!(Past::from_words(&[0, 0, 0, 0, 0, 3, 1, 1, 1, 0, 0, 0, 0, 0, 0]), None, "no such phase");
+        assert_eq!(Past::from_words(&[0, 0, 0, 0, 0, 0, 0, 3, 1, 1, 1, 0, 0, 0, 0, 0, 0]), None, "no such phase");
     }
 
     /// In every phase, and including the work between iterations.

@@ -28,7 +28,7 @@ mod size;
 mod static_scene;
 
 pub use fused::{from_points as surface_from_points, from_splats as surface_from_splats};
-pub use log::{Progress, Selection};
+pub use log::{Event, Progress, Selection};
 pub use mesh_source::{MeshSource, SurfaceOrigin};
 pub use options::{Background, Density, Phase, TrainOptions};
 pub use seen_points::point_views;
@@ -69,6 +69,18 @@ pub enum TrainError {
         /// Views in the capture.
         found: usize,
     },
+    /// A scene too small or too large in its unit of length.
+    #[error(
+        "{capture}: expected a scene that views see from {:e} to {:e} units away, found one that they see from {found:.1e}; scale poses and points, as COLMAP's model_transformer does",
+        size::DISTANCES.start(),
+        size::DISTANCES.end()
+    )]
+    Unit {
+        /// Name of the capture.
+        capture: String,
+        /// Typical distance of what views see, in the unit of the poses.
+        found: f32,
+    },
     /// Poses were to be refined beside a given mesh.
     #[error("poses are refined by splats before there is a mesh: expected no given mesh, found one")]
     PosesBesideMesh,
@@ -86,7 +98,7 @@ pub enum TrainError {
         found: usize,
     },
     /// A parameter became NaN or infinite.
-    #[error("iteration {iteration} ({phase:?}): {group} not finite")]
+    #[error("iteration {iteration} ({}): {group} not finite", .phase.name())]
     NotFinite {
         /// Phase of the run.
         phase: Phase,

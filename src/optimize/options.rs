@@ -16,6 +16,18 @@ pub enum Phase {
     Joint,
 }
 
+impl Phase {
+    /// Name for people; in files and JSON it is serde's.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Surface => "surface",
+            Self::Warmup => "warm-up",
+            Self::Joint => "joint",
+        }
+    }
+}
+
 /// Density control: how the number of splats changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]

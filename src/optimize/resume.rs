@@ -16,8 +16,11 @@ use self::parts::{
     take_floats, take_meshes, take_vertices, take_views, take_words,
 };
 use super::{
-    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions, checkpoint::Checkpoint, density::mcmc::EpochWeight,
-    finite::finite, log::Past,
+    Phase, Selection, SurfaceOrigin, TrainError, TrainOptions,
+    checkpoint::{Checkpoint, CheckpointError},
+    density::mcmc::EpochWeight,
+    finite::finite,
+    log::Past,
 };
 use crate::{
     render::gpu::{
@@ -122,8 +125,8 @@ impl Saved {
     }
 
     /// Writes the checkpoint to a temporary file and renames it.
-    pub(super) fn write(self, path: &Path, run: &Identity) -> Result<(), TrainError> {
-        Ok(self.put(run).write(path)?)
+    pub(super) fn write(self, path: &Path, run: &Identity) -> Result<(), CheckpointError> {
+        self.put(run).write(path)
     }
 
     /// Reads a checkpoint that was written for the same input and options, except for how often to report and save.

@@ -15,6 +15,10 @@ const USUAL_EXTENT: f64 = 5.0;
 const USUAL_SPREAD: RangeInclusive<f64> = 0.5..=1.5;
 /// Tangent of half a lens's angle of view below which the visible region is notably smaller than its distance.
 const NARROW: f64 = 0.1;
+/// Distances of what views see with which training works, in the unit of the capture: the variances of splats in a
+/// smaller scene leave the range of f32, and the depths of a larger one that of the sort keys, which end at 2³² times the
+/// near plane.
+pub(super) const DISTANCES: RangeInclusive<f32> = 1e-14..=5e8;
 /// Largest number of projected points, over all views, from which the median depth is taken.
 const DEPTHS: usize = 1_000_000;
 

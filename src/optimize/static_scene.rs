@@ -36,10 +36,11 @@ use self::origin::Origin;
 use self::setup::{Scales, Setup};
 use self::views::Views;
 use super::{
-    Density, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions, finite,
+    Density, Event, MeshSource, Phase, Progress, Selection, SurfaceOrigin, TrainError, TrainOptions, finite,
     log::Log,
     memory, or_why_not,
     resume::{Identity, Saved, SurfaceRecord},
+    size,
 };
 use crate::{
     capture::Capture,
@@ -96,7 +97,7 @@ pub struct Trained {
     /// Seconds of the whole training: all phases, evaluation, making and judging a surface. From before a resumption,
     /// the time up to the checkpoint counts.
     pub training_seconds: f64,
-    /// Peak bytes of buffers on the adapter; in a resumed run, since it was resumed.
+    /// Peak bytes of buffers on the adapter. From before a resumption, the peak up to the checkpoint counts.
     pub peak_gpu_bytes: u64,
     /// Iterations of this run that were repeated because their view, or one before it, needed longer lists, which were
     /// made then.
@@ -109,7 +110,8 @@ pub enum Checkpoints {
     /// No checkpoint: the progress of an interrupted run is only in its result.
     #[default]
     Off,
-    /// Written regularly, see [`TrainOptions::checkpoint_every`].
+    /// Written regularly, see [`TrainOptions::checkpoint_every`]. A run goes on where one cannot be written, see
+    /// [`Event::Unsaved`], unless it is stopped there.
     Save(PathBuf),
     /// As `Save`, after the run has resumed from the file.
     Resume(PathBuf),
@@ -133,17 +135,18 @@ pub struct Session<'a> {
     /// Flag, set from outside, that ends the run after the current iteration, or after the first one following a
     /// surface that is being made.
     pub stop: &'a AtomicBool,
-    /// Receives every report.
-    pub progress: &'a mut dyn FnMut(&Progress),
+    /// Receives every report, and what else the run tells.
+    pub progress: &'a mut dyn FnMut(Event<'_>),
 }
 
 /// Trains a static scene on the views of a capture that [`TrainOptions::split`] leaves for it.
 ///
 /// # Errors
-/// If an option is not valid, a photograph cannot be read, there are too few views, poses are to be refined beside a
-/// given mesh, no view sees that mesh, its charts do not fit the atlas, the budget has no room for a splat beside it, a
-/// checkpoint cannot be read or written or is of another run, the adapter fails or has too little memory, or a
-/// parameter is no longer finite.
+/// If an option is not valid, a photograph cannot be read, there are too few views, the unit of length is so large or so
+/// small that f32 does not hold the scene, poses are to be refined beside a given mesh, no view sees that mesh, its
+/// charts do not fit the atlas, the budget has no room for a splat beside it, a checkpoint cannot be read or is of
+/// another run, that of a stopped run cannot be written, the adapter fails or has too little memory, or a parameter is
+/// no longer finite.
 pub fn train<'a>(
     capture: &'a Capture,
     mesh: MeshSource,
@@ -195,6 +198,9 @@ impl<'a> Run<'a> {
         let exposures = options.exposure.then(|| ExposureState::new(capture.views.len()));
         let views = Views::new(photos, capture.cameras(), &train, exposures);
         let scales = Scales::of(capture, &train, &views.train_cameras);
+        if !size::DISTANCES.contains(&scales.distance) {
+            return Err(TrainError::Unit { capture: capture.name.clone(), found: scales.distance });
+        }
         let bindable = most_splats(session.gpu, options.sh_degree);
         let budget = budget::Budget::of(options, source, scales.longest_side, bindable);
         // Without a warm-up the shell would not be judged.
@@ -403,7 +409,7 @@ impl<'a> Run<'a> {
             outcome,
             seconds_per_iteration: self.log.seconds_per_iteration(),
             training_seconds: self.log.training_seconds(),
-            peak_gpu_bytes: self.session.gpu.peak_bytes(),
+            peak_gpu_bytes: self.log.peak_gpu_bytes(self.session.gpu.peak_bytes()),
             repeated_iterations: self.log.repeated_iterations,
             history: std::mem::take(&mut self.log.past.history),
         })

@@ -277,6 +277,25 @@ fn tasks_of_slurm_do_every_job_once() {
     assert_eq!(listed, expected);
 }
 
+#[test]
+fn programs_are_told_in_json() {
+    let folder = tempfile::tempdir().unwrap();
+    no_cameras(&folder.path().join("scenes/one"));
+    let mut command = centaur(folder.path());
+    // Mesa prints warnings if this is not set.
+    command.env("XDG_RUNTIME_DIR", std::env::temp_dir()).args(["bench", "scenes", "-o", "out", "--json"]);
+    let output = command.output().unwrap();
+    let (_, lines) = said(&output);
+    let mut lines: Vec<&str> = lines.lines().collect();
+    assert!(lines.pop().unwrap().starts_with("error: 1 of 1 jobs failed, first default/one-0: "));
+    let told: Vec<serde_json::Value> = lines.iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let [note, progress] = &told[..] else { panic!("{lines:?}") };
+    assert!(note["note"].as_str().unwrap().starts_with("default/one-0: "), "{note}");
+    let progress = &progress["progress"];
+    let job = (&progress["job"], &progress["of"], &progress["name"], &progress["outcome"]);
+    assert_eq!(job, (&1.into(), &1.into(), &"default/one-0".into(), &"failed".into()), "{progress}");
+}
+
 /// Jobs held by another runner are distinguished from finished ones, and run if that runner leaves them undone.
 #[test]
 fn jobs_of_another_runner_have_an_exit_code_and_can_be_waited_for() {

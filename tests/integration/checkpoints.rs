@@ -69,7 +69,9 @@ fn signals_leave_a_checkpoint_that_resume_finishes() {
         assert_eq!(output.status.code(), Some(code), "{signals:?} {:?}", rest.last());
         // Once, immediately, and not on a line of progress.
         let is_heard =
-            |line: &&String| line.starts_with("note: stopping after the current step, and keeping what is done;");
+            |line: &&String| line.starts_with(r#"{"note":"stopping after the current step, and keeping what is done;"#);
+        let is_json = |line: &String| serde_json::from_str::<serde_json::Value>(line).is_ok();
+        assert!(rest.iter().all(is_json), "{rest:?}");
         assert_eq!(rest.iter().filter(is_heard).count(), 1, "{signals:?} {rest:?}");
         let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(outcome["outcome"], "interrupted");

@@ -104,13 +104,16 @@ fn scoring_and_rendering_stop_and_the_scene_stays() {
     assert!(folder.path().join(files[1]).is_file());
     assert!(!folder.path().join("scene.glb.lock").exists());
 
-    // The summary of all views was of other pictures.
+    // An earlier report stays as it was.
     let at = |name: &str| folder.path().join(name);
     std::fs::create_dir(at("scores")).unwrap();
     std::fs::write(at("scores/metrics.json"), "{}").unwrap();
     let (said, code) = stopped(folder.path(), "eval scene.glb capture -o scores", ("scoring", 10), "INT");
     assert_eq!((said["outcome"].as_str(), code), (Some("interrupted"), Some(130)), "{said}");
-    assert!(at("scores/000.png").is_file() && !at("scores/metrics.json").exists());
+    let scored = said["views"].as_array().unwrap().len();
+    assert!((1..10).contains(&scored) && said["of"] == 10 && said["output"] == "scores", "{said}");
+    assert_eq!(common::tree(&at("scores")), [at("scores/metrics.json").display().to_string()]);
+    assert_eq!(std::fs::read(at("scores/metrics.json")).unwrap(), b"{}");
     let (said, code) = stopped(folder.path(), "render scene.glb -o pictures", ("rendering", 80), "INT");
     assert_eq!((said["outcome"].as_str(), code), (Some("interrupted"), Some(130)), "{said}");
     assert_eq!(said["pictures"].as_array().unwrap().len(), common::tree(&at("pictures")).len());

@@ -58,7 +58,7 @@ fn all_views_are_trained_on_if_asked_for() {
     run(&format!("{few} --json --all-views"));
 }
 
-/// If scoring fails, no results of another run remain; other files are reported.
+/// If scoring fails, the report of another run remains whole; other files are reported.
 #[test]
 fn a_report_has_no_pictures_of_another() {
     let folder = tempfile::tempdir().unwrap();
@@ -91,14 +91,23 @@ fn a_report_has_no_pictures_of_another() {
         names.sort();
         names
     };
-    assert_eq!(left(), [&all[..], &["metrics.json", "report.html"]].concat());
+    let whole = [&all[..], &["metrics.json", "report.html"]].concat();
+    assert_eq!(left(), whole);
+    let report =
+        || ["000.png", "metrics.json", "report.html"].map(|name| std::fs::read(at("report").join(name)).unwrap());
+    let before = report();
+    let picture = at("capture/images/000.png");
+    let mut brighter = image::open(&picture).unwrap().to_rgb8();
+    brighter.pixels_mut().for_each(|pixel| pixel.0[0] = 255 - pixel.0[0]);
+    brighter.save(&picture).unwrap();
     // The first of two views is scored, the second turns out to be broken after its header.
     let last = at("capture/images/008.png");
     let bytes = std::fs::read(&last).unwrap();
     std::fs::write(&last, &bytes[..bytes.len() / 2]).unwrap();
     let (code, said) = score();
     assert!(code == Some(1) && said.lines().last().unwrap().starts_with("error: "), "{said}");
-    assert_eq!(left(), all);
+    assert_eq!(left(), whole);
+    assert!(report() == before, "the picture of the first view is another");
 }
 
 /// Lines of progress on stderr.
@@ -151,7 +160,7 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
         "training time",
         "time per iteration",
         " MiB training<",
-        "ssim weight",
+        "--ssim-weight",
         "aria-label=\"loss\"",
         "aria-label=\"held-out PSNR (dB)\"",
         "<polyline",
@@ -164,7 +173,7 @@ fn commands_say_how_far_they_are_and_evaluations_what_the_training_took() {
     assert!(convert.args(["convert", "scene.glb", "splats.ply", "--quiet"]).status().unwrap().success());
     let evaluation = run("eval splats.ply", "--max-side 64 --json --quiet -o scores");
     assert!(evaluation.stderr.is_empty() && json(&evaluation)["seconds_per_iteration"].is_null());
-    assert!(!report().contains("<polyline") && !report().contains("ssim weight"));
+    assert!(!report().contains("<polyline") && !report().contains("--ssim-weight"));
 
     let rendering =
         common::centaur(folder.path()).args(["render", "scene.glb", "--json", "-o", "pictures"]).output().unwrap();

@@ -7,7 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::common::{self, demo};
 use centaur::capture::{self, Capture, Downscale, LoadOptions};
 use centaur::geometry::Surface;
-use centaur::optimize::{Checkpoints, Density, MeshSource, Outcome, Phase, Session, TrainOptions, Trained, train};
+use centaur::optimize::{
+    Checkpoints, Density, Event, MeshSource, Outcome, Phase, Session, TrainOptions, Trained, train,
+};
 use centaur::render::gpu::Gpu;
 use glam::Vec3;
 
@@ -65,7 +67,8 @@ impl Bench {
             gpu: &self.gpu,
             checkpoints: if resume { Checkpoints::Resume(checkpoint) } else { Checkpoints::Save(checkpoint) },
             stop: &stop,
-            progress: &mut |p| {
+            progress: &mut |event| {
+                let Event::Progress(p) = event else { return };
                 self.told.set(self.told.get() + 1);
                 if stop_at == Some((p.phase, p.iteration)) {
                     stop.store(true, Ordering::Relaxed);
@@ -186,7 +189,8 @@ fn resumed_from_the_end_of_each_phase() {
         gpu: &bench.gpu,
         checkpoints: Checkpoints::Save(file("checkpoint")),
         stop: &stop,
-        progress: &mut |p| {
+        progress: &mut |event| {
+            let Event::Progress(p) = event else { return };
             if p.phase != phase.replace(p.phase) {
                 std::fs::copy(file("checkpoint"), file(&format!("before-{:?}", p.phase))).unwrap();
             }

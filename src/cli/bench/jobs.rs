@@ -111,7 +111,7 @@ pub(super) fn shard(text: &str) -> Result<Shard, String> {
 
 /// All combinations of scene, variant and seed.
 pub(super) fn all(args: &Args) -> Result<Vec<Job>> {
-    let scenes = scenes(&args.dataset)?;
+    let scenes = scenes(&args.dataset, args.messages.json)?;
     if let Some(missing) = args.scenes.iter().find(|name| !scenes.contains_key(*name)) {
         let found: Vec<&str> = scenes.keys().map(String::as_str).collect();
         bail!("{}: expected a scene `{missing}`, found {}", args.dataset.display(), found.join(", "));
@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn names_fit_a_line() {
         let folder = dataset(&["a b's", "a\nb", "a\u{c}b", ".kept"]);
-        assert_eq!(scenes(folder.path()).unwrap().into_keys().collect::<Vec<_>>(), ["a b's"]);
+        assert_eq!(scenes(folder.path(), false).unwrap().into_keys().collect::<Vec<_>>(), ["a b's"]);
     }
 
     #[test]
@@ -434,7 +434,11 @@ mod tests {
         let twins = error(r#"{"scenes": {"a": {"capture": "tandt/truck"}, "A": {"capture": "more/Barn"}}}"#);
         assert!(twins.ends_with("expected names that differ by more than case, found A and a"), "{twins}");
         assert!(error(r#"{"scenes": {}}"#).contains("expected scenes, found none"));
-        assert!(error("{").contains("scenes.json"));
+        for (wrong, found) in [("{", "EOF while parsing"), (r#"{"scenes": {"a": {}}}"#, "missing field `capture`")] {
+            let said = error(wrong);
+            assert!(said.contains(r#"scenes.json: expected {"scenes": {"NAME": {"capture": "FOLDER", "#), "{said}");
+            assert!(said.contains(&format!("flags being optional, found {found}")), "{said}");
+        }
         let both = error(r#"{"scenes": {"room": {"capture": "tandt/truck", "flags": ["--downscale=2"]}}}"#);
         let expected = "--protocol b: expected scenes.json without flags for the pictures of room, which it decides";
         assert_eq!(both, format!("{expected}, found `--downscale=2`"));
@@ -492,7 +496,11 @@ mod tests {
         }
         all(&args(folder.path(), &["--", "--max-side=300"])).unwrap();
         let empty = tempfile::tempdir().unwrap();
-        assert!(scenes(empty.path()).unwrap_err().to_string().contains("expected a folder of captures"));
+        let refused = |folder: &Path| scenes(folder, false).unwrap_err().to_string();
+        assert!(refused(empty.path()).contains("expected a folder of captures"));
+        // A folder in it has a model, too, and would be taken for a scene.
+        let inner = refused(&folder.path().join("garden"));
+        assert!(inner.contains("garden: is itself a capture: give the folder that contains it"), "{inner}");
         assert_eq!(variant("Aux=--no-mesh").unwrap_err(), "expected another name: on Windows, Aux is a device");
         assert!(variant("=--no-mesh").is_err() && variant("a/b").is_err() && variant("a").unwrap().flags.is_empty());
         assert!(shard("4/4").is_err() && shard("x").is_err() && shard("3/4").is_ok());

@@ -37,15 +37,19 @@ Several runners (processes, on one or more machines) share the jobs if all get t
   CENTAUR_ADAPTER='#1' centaur bench $JOBS --shard 1/2  # on the second, at the same time
   sbatch --array=0-17 datasets-scripts/bench.sbatch $JOBS  # Slurm, with centaur in the PATH
   python3 datasets-scripts/bench_ray.py $JOBS  # Ray, with centaur in the PATH
-  centaur bench $JOBS --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c";
+  centaur bench $JOBS --list | tr '\\n' '\\0' | xargs -0 -n 1 -P 4 sh -c
+
+DATASET/scenes.json, with folders below DATASET and, if wanted, flags of `centaur train`:
+  {\"scenes\": {\"Barn\": {\"capture\": \"more/Barn\", \"flags\": [\"--downscale\", \"2\"]},
+              \"truck\": {\"capture\": \"tandt/truck\"}}}";
 
 /// Train and score every capture of a data set, and compare the results with published ones
 ///
 /// Every folder in DATASET that contains a capture is a scene; if DATASET has a scenes.json, the scenes are those that
-/// it lists, with flags of their own. Every combination of scene, variant and seed is a job. Its result is written to
-/// OUT/VARIANT/SCENE-SEED.json when it is done. Jobs that have a result, or that another runner is working on, are
-/// skipped; results of other flags, or of another capture of the same name, are refused. Ctrl-C leaves checkpoints,
-/// from which the same command continues.
+/// it lists (see below), with flags of their own. Every combination of scene, variant and seed is a job. Its result is
+/// written to OUT/VARIANT/SCENE-SEED.json when it is done. Jobs that have a result, or that another runner is working
+/// on, are skipped; results of other flags, or of another capture of the same name, are refused. Ctrl-C leaves
+/// checkpoints, from which the same command continues.
 ///
 /// OUT/table.md lists all results in OUT and their means over the scenes that all variants have in common. If these
 /// scenes are a known set, published results are added: Mip-NeRF 360 with either protocol; train and truck of Tanks and
@@ -119,6 +123,11 @@ impl Args {
         self.beside_others || self.shard.is_some()
     }
 
+    /// Tells a note at once.
+    fn say(&self, text: &str) {
+        output::say(text, self.messages.json);
+    }
+
     /// Whether whoever runs this has to know what is left to another runner, as schedulers that make the table when all
     /// is done.
     fn wants_all(&self) -> bool {
@@ -176,9 +185,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
         output::note("LPIPS will not be scored: that needs -- --lpips-weights FILE");
     }
     if let Some(note) = jobs::of_full_size(&open) {
-        output::note(&note);
+        args.say(&note);
     }
-    let Outcome { failed, left, is_stopped } = work::work(&open, args)?;
+    let Outcome { failed, left, is_stopped } = work::work(&open, args);
     let mut done = record::all(&args.output)?;
     // A shard may be empty and also be the first to run.
     let printed = if done.is_empty() {
@@ -199,7 +208,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     if is_stopped {
         let names: Vec<String> = failed.iter().map(|(job, _)| job.name()).collect();
         let again = if names.is_empty() { "" } else { ", and repeats what failed: " };
-        output::note(&format!("stopped; the same command goes on{again}{}", names.join(", ")));
+        args.say(&format!("stopped; the same command goes on{again}{}", names.join(", ")));
         return interrupt::stopped(printed);
     }
     if let Some((job, reason)) = failed.first() {
@@ -211,7 +220,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         if args.wants_all() {
             return Err(LeftToAnother(format!("{said}: the same command does what that runner leaves undone")).into());
         }
-        output::note(&said);
+        args.say(&said);
     }
     printed
 }

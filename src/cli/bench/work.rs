@@ -12,13 +12,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use centaur::atomic::Lock;
-use centaur::format::{atomic_write, one_line};
-use indicatif::ProgressStyle;
+use centaur::format::atomic_write;
 use serde_json::Value;
 
 use super::Args;
 use super::jobs::{self, Job, Made};
 use super::record;
+use crate::cli::progress::Jobs;
 use crate::cli::{interrupt, output};
 
 /// Outcome of a job that did not fail.
@@ -46,24 +46,24 @@ const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 
 /// Does the jobs, and waits for those that another runner is at as long as `args` say.
-pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Result<Outcome<'j>> {
-    let stop = interrupt::stop_flag();
-    let mut outcome = attempt(open, args, &stop)?;
+pub(super) fn work<'j>(open: &[&'j Job], args: &Args) -> Outcome<'j> {
+    let stop = interrupt::stop_flag(&args.messages);
+    let mut outcome = attempt(open, args, &stop);
     let (wait, start) = (Duration::from_secs(args.wait), Instant::now());
     if !outcome.is_stopped && !outcome.left.is_empty() && !wait.is_zero() {
         let jobs = output::counted(outcome.left.len(), "job");
-        output::note(&format!("{jobs} left to another runner: waiting for at most {} s", args.wait));
+        args.say(&format!("{jobs} left to another runner: waiting for at most {} s", args.wait));
     }
     let mut pause = FIRST_PAUSE;
     while !outcome.is_stopped && !outcome.left.is_empty() && start.elapsed() < wait {
         sleep(pause.min(wait.saturating_sub(start.elapsed())), &stop);
         pause = (pause * 2).min(LONGEST_PAUSE);
-        let Outcome { failed, left, is_stopped } = attempt(&outcome.left, args, &stop)?;
+        let Outcome { failed, left, is_stopped } = attempt(&outcome.left, args, &stop);
         outcome.failed.extend(failed);
         outcome.left = left;
         outcome.is_stopped = is_stopped;
     }
-    Ok(outcome)
+    outcome
 }
 
 /// Until the run is stopped, at most.
@@ -75,9 +75,8 @@ fn sleep(time: Duration, stop: &AtomicBool) {
 }
 
 /// Does each job that no other runner is at.
-fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Result<Outcome<'j>> {
-    let bar = output::bar(&args.messages, open.len() as u64);
-    bar.set_style(ProgressStyle::with_template("{pos}/{len} jobs  {bar:16}  ETA {eta}  {wide_msg}")?);
+fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Outcome<'j> {
+    let progress = Jobs::new(&args.messages, open.len());
     let at_a_time = open.len().min(args.jobs.into());
     let known = if args.shares_machine() { 0 } else { at_a_time };
     let (queue, failed) = (Mutex::new(open.iter()), Mutex::new(vec![]));
@@ -88,52 +87,47 @@ fn attempt<'j>(open: &[&'j Job], args: &Args, stop: &AtomicBool) -> Result<Outco
                 while !stop.load(Ordering::Relaxed) {
                     let next = queue.lock().map_or(None, |mut queue| queue.next());
                     let Some(&job) = next else { break };
-                    bar.set_message(one_line(&job.name()).into_owned());
+                    let name = job.name();
+                    progress.begin(&name);
                     let start = Instant::now();
-                    match train(job, known, stop) {
+                    let how = match train(job, known, stop, args) {
                         Ok(Ended::Done(notes)) => {
-                            bar.println(format!(
-                                "{}: {:.1} min",
-                                one_line(&job.name()),
-                                start.elapsed().as_secs_f64() / 60.0
-                            ));
-                            let say = |note: &String| output::note(&format!("{}: {note}", job.name()));
-                            bar.suspend(|| notes.iter().for_each(say));
+                            progress.print(&format!("{name}: {:.1} min", start.elapsed().as_secs_f64() / 60.0));
+                            notes.iter().for_each(|note| progress.say(&format!("{name}: {note}")));
+                            Some("done")
                         }
-                        Ok(Ended::Interrupted) => interrupted.store(true, Ordering::Relaxed),
-                        Ok(Ended::Elsewhere) => {}
+                        Ok(Ended::Interrupted) => {
+                            interrupted.store(true, Ordering::Relaxed);
+                            Some("interrupted")
+                        }
+                        Ok(Ended::Elsewhere) => None,
                         Err(reason) => {
-                            let line = one_line(&format!("{}: {reason:#}", job.name())).into_owned();
-                            // A hidden progress bar prints nothing.
-                            if bar.is_hidden() {
-                                let _ = writeln!(io::stderr(), "{line}");
-                            } else {
-                                bar.println(line);
-                            }
+                            progress.fail(&format!("{name}: {reason:#}"));
                             if let Ok(mut failed) = failed.lock() {
                                 failed.push((job, format!("{reason:#}")));
                             }
+                            Some("failed")
                         }
-                    }
-                    bar.inc(1);
+                    };
+                    progress.end(&name, how);
                 }
             });
         }
     });
-    bar.finish_and_clear();
+    progress.finish();
     let failed = failed.into_inner().unwrap_or_default();
     let has_failed = |job: &Job| failed.iter().any(|(failed, _)| std::ptr::eq(*failed, job));
     let left: Vec<&Job> = open.iter().copied().filter(|job| !job.result.is_file() && !has_failed(job)).collect();
     let is_asked_to_stop = stop.load(Ordering::Relaxed) || interrupted.load(Ordering::Relaxed);
     let is_stopped = is_asked_to_stop && !left.is_empty();
-    Ok(Outcome { failed, left, is_stopped })
+    Outcome { failed, left, is_stopped }
 }
 
 /// Text before the number of concurrent jobs in the first line of a lock file.
 const AT_A_TIME: &str = "jobs at a time: ";
 
 /// One training, unless somebody else is at it. `at_a_time` as in [`Made`], of this run of the job.
-fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
+fn train(job: &Job, at_a_time: usize, stop: &AtomicBool, args: &Args) -> Result<Ended> {
     if let Some(folder) = job.result.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
@@ -144,7 +138,7 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool) -> Result<Ended> {
     if !lock.excludes() {
         static SAID: Once = Once::new();
         let folder = path.display();
-        SAID.call_once(|| output::note(&format!("{folder}: files cannot be locked here: jobs may be done twice")));
+        SAID.call_once(|| args.say(&format!("{folder}: files cannot be locked here: jobs may be done twice")));
     }
     if job.result.is_file() {
         // The other runner removed the lock file when it had written the result.
@@ -235,7 +229,7 @@ mod tests {
     fn who_has_done_all_is_not_stopped() {
         let cli = Cli::try_parse_from(["centaur", "bench", "scenes", "-o", "out"]).unwrap();
         let cli::Command::Bench(args) = cli.command else { unreachable!() };
-        let outcome = attempt(&[], &args, &AtomicBool::new(true)).unwrap();
+        let outcome = attempt(&[], &args, &AtomicBool::new(true));
         assert!(!outcome.is_stopped && outcome.left.is_empty());
     }
 }

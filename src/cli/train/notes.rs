@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use centaur::atomic::folder_of;
-use centaur::capture::Capture;
+use centaur::capture::{Capture, Split};
 use centaur::optimize::{RefinedPose, Selection, SurfaceOrigin, TrainError, TrainOptions, Trained};
 use centaur::render::gpu::{Gpu, memory::most_splats};
 use centaur::scene::Camera;
@@ -75,6 +75,7 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
     });
     let of_capture = said.map(|(_, what)| what.to_owned());
     let of_capture = of_capture
+        .chain(out_of_sight(capture, args.split()))
         .chain(shared::passed_over(&capture.passed_over))
         .chain(not_listed(args, capture))
         .chain(large)
@@ -96,6 +97,30 @@ pub(super) fn before_training(args: &Args, capture: &Capture, gpu: &Gpu, scores:
         .chain(none_left)
         .chain(idle)
         .collect()
+}
+
+/// Most points and views that are looked at for [`out_of_sight`].
+const MOST_POINTS: usize = 4000;
+const MOST_VIEWS: usize = 100;
+
+/// Note if fewer than 1 % of the points are in any training view: structure from motion finds points in photographs,
+/// and scans have some in them.
+fn out_of_sight(capture: &Capture, split: Split) -> Option<String> {
+    let (train, _) = split.split(&capture.views);
+    let step = |count: usize, most: usize| count.div_ceil(most).max(1);
+    let views = train.iter().step_by(step(train.len(), MOST_VIEWS));
+    let cameras: Vec<&Camera> = views.map(|&view| &capture.views[view].camera).collect();
+    let is_seen = |p: DVec3| cameras.iter().any(|camera| camera.in_picture(camera.to_camera(p)).is_some());
+    let (mut all, mut seen) = (0, 0);
+    for point in capture.points.iter().step_by(step(capture.points.len(), MOST_POINTS)) {
+        all += 1;
+        seen += usize::from(is_seen(point.position));
+    }
+    let few = if seen == 0 { "none" } else { "fewer than 1 %" };
+    (100 * seen < all).then(|| {
+        let count = capture.points.len();
+        format!("has {count} points, {few} of them in a training view: are they in the frame and unit of the poses?")
+    })
 }
 
 /// Up directions, other than −y, of a capture's world, each with the right-handed frame of that up direction, as named
@@ -237,6 +262,7 @@ pub(super) fn with_advice(error: TrainError, args: &Args, has_saved: bool) -> an
 
 #[cfg(test)]
 mod tests {
+    use centaur::capture::{self, LoadOptions};
     use centaur::edit::Axes;
     use centaur::render::gpu::GpuError;
     use centaur::scene::{Intrinsics, frame::OPENGL_FROM_OPENCV};
@@ -278,6 +304,27 @@ mod tests {
         // Half of the views is upside down.
         let turned = [around(DVec3::Z), around(DVec3::NEG_Z)].concat();
         assert_eq!((up_of(&turned), up_of(&[])), (None, None));
+    }
+
+    #[test]
+    fn points_that_no_view_sees_are_told() {
+        let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo");
+        let mut capture = capture::open(&demo, &LoadOptions::default()).unwrap();
+        let said = |capture: &Capture| out_of_sight(capture, Split::Every8th);
+        assert_eq!(said(&capture), None);
+        // Above the cameras, which look down, is nothing; some points may be there, as of a scan of a whole building.
+        let whole = capture.points.clone();
+        for (left, few) in [(whole.len() / 20, None), (10, Some("fewer than 1 %")), (0, Some("none"))] {
+            capture.points.clone_from(&whole);
+            capture.points.iter_mut().skip(left).for_each(|point| point.position.z += 1e4);
+            let count = whole.len();
+            let start = few.map(|few| format!("has {count} points, {few} of them in a training view: "));
+            let note = said(&capture);
+            let is_so = start.as_ref().is_none_or(|start| note.as_ref().is_some_and(|note| note.starts_with(start)));
+            assert!(is_so && note.is_some() == start.is_some(), "{left}: {note:?}");
+        }
+        capture.points.clear();
+        assert_eq!(said(&capture), None);
     }
 
     #[test]

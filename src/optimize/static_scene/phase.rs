@@ -4,7 +4,7 @@ use std::{sync::atomic::Ordering, time::Instant};
 
 use glam::Vec3;
 
-use super::{Outcome, Phase, Progress, Run, density_step, plan::Plan, start, views::sampled};
+use super::{Event, Outcome, Phase, Progress, Run, density_step, plan::Plan, start, views::sampled};
 use crate::{
     evaluate::Comparison,
     geometry::Shell,
@@ -125,6 +125,7 @@ impl Run<'_> {
                 self.report(training, plan, done, look)?;
             }
             if saves && let Some(path) = self.session.checkpoints.file() {
+                self.log.peak_gpu_bytes(self.session.gpu.peak_bytes());
                 let host = HostState {
                     reached: self.log.reached,
                     found: self.found.clone(),
@@ -137,10 +138,14 @@ impl Run<'_> {
                 // Scores at the end of a phase take long enough for the user to stop the run there, and what follows
                 // longer.
                 stop |= ends && self.session.stop.load(Ordering::Relaxed);
-                // A failed write after the last iteration, or at a phase's end that was not asked for, is ignored:
-                // there may still be room for the scene.
-                if !is_last && (stop || is_due(done, self.setup.options.checkpoint_every)) {
-                    written?;
+                match written {
+                    // What was learnt is nowhere else.
+                    Err(error) if stop && !is_last => return Err(error.into()),
+                    // There may be room for a later one, or for the scene.
+                    Err(error) if !std::mem::replace(&mut self.log.told_unsaved, true) => {
+                        (self.session.progress)(Event::Unsaved(&error));
+                    }
+                    Err(_) | Ok(()) => {}
                 }
             }
             if stop && !is_last {
@@ -247,7 +252,7 @@ impl Run<'_> {
             psnr,
             seconds: self.log.seconds(),
         };
-        (self.session.progress)(&progress);
+        (self.session.progress)(Event::Progress(&progress));
         // Reports caused by a stop are not in the history, which so equals that of an uninterrupted run.
         if self.reports_after(plan, done) {
             self.log.past.history.push(progress);

@@ -26,6 +26,15 @@ fn checkpoints(file: &Path, resume: bool) -> Checkpoints {
     if resume { Checkpoints::Resume(file.to_owned()) } else { Checkpoints::Save(file.to_owned()) }
 }
 
+/// For a session: passes on the progress reports alone.
+fn on_progress(mut tell: impl FnMut(&Progress)) -> impl FnMut(Event<'_>) {
+    move |event| {
+        if let Event::Progress(progress) = event {
+            tell(progress);
+        }
+    }
+}
+
 fn options() -> TrainOptions {
     TrainOptions {
         iterations: 20,

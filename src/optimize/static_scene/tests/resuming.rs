@@ -33,7 +33,7 @@ fn a_resumed_run_says_why_it_has_no_surface() {
     let options = TrainOptions { iterations: 40, surface_iterations: Some(10), max_splats: Some(5), ..options() };
     let run = |resume: bool| {
         let stop = AtomicBool::new(false);
-        let progress = &mut |p: &Progress| stop.store(!resume && p.phase == Phase::Joint, Ordering::Relaxed);
+        let progress = &mut on_progress(|p| stop.store(!resume && p.phase == Phase::Joint, Ordering::Relaxed));
         let checkpoints = checkpoints(&folder.path().join("checkpoint"), resume);
         let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress };
         let trained = train(&capture, MeshSource::Splats, &options, session).unwrap();
@@ -52,35 +52,69 @@ fn a_stop_at_the_end_of_a_phase_is_heeded_there() {
     let short = TrainOptions { iterations: 20, surface_iterations: Some(10), max_splats: Some(5), ..options() };
     let (options, path) = (TrainOptions { checkpoint_every: 1000, ..short }, folder.path().join("checkpoint"));
     let stop = AtomicBool::new(false);
-    let progress = &mut |p: &Progress| stop.store((p.phase, p.iteration) == (Phase::Surface, 10), Ordering::Relaxed);
+    let is_last = |p: &Progress| (p.phase, p.iteration) == (Phase::Surface, 10);
+    let progress = &mut on_progress(|p| stop.store(is_last(p), Ordering::Relaxed));
     let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, false), stop: &stop, progress };
     let trained = train(&capture, MeshSource::Splats, &options, session).unwrap();
     assert_eq!((trained.outcome, trained.no_surface), (Outcome::Interrupted, None));
     assert_eq!(Checkpoint::read(&path).unwrap().meta["phase"], serde_json::to_value(Phase::Surface).unwrap());
 }
 
-/// A disk without room for a checkpoint may still have room for the scene, which is all that remains after the last
-/// iteration.
+/// A disk without room for a checkpoint may have some later, or room for the scene.
 #[test]
-fn the_last_checkpoint_may_fail() {
+fn a_run_goes_on_without_checkpoints_unless_it_is_stopped() {
     let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
     let path = folder.path().join("missing/checkpoint");
-    let outcome = |iterations: u32, checkpoint_every: u32, stop_after: u32| {
-        let stop = AtomicBool::new(false);
-        let progress = &mut |p: &Progress| stop.store(p.iteration == stop_after, Ordering::Relaxed);
-        let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, false), stop: &stop, progress };
+    let run = |iterations: u32, checkpoint_every: u32, stop_after: u32| {
+        let (stop, mut unsaved) = (AtomicBool::new(false), vec![]);
+        let session = Session {
+            gpu: &gpu,
+            checkpoints: checkpoints(&path, false),
+            stop: &stop,
+            progress: &mut |event| match event {
+                Event::Progress(p) => stop.store(p.iteration == stop_after, Ordering::Relaxed),
+                Event::Unsaved(error) => unsaved.push(error.to_string()),
+            },
+        };
         let options = TrainOptions { iterations, checkpoint_every, ..options() };
-        train(&capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
+        let trained = train(&capture, MeshSource::None, &options, session);
+        (trained.map(|trained| trained.outcome), unsaved)
     };
-    // A scheduled checkpoint, one at which the run is stopped as well, and one requested in the last iteration.
-    for (iterations, every, stop_after) in [(10, 10, 0), (10, 10, 10), (11, 0, 10)] {
-        let outcome = outcome(iterations, every, stop_after).unwrap();
-        assert_eq!(outcome, Outcome::Finished, "{iterations}, {every}, {stop_after}");
+    // A scheduled checkpoint, one at which the run is stopped as well, one requested in the last iteration, and several
+    // of which the first is told.
+    for (iterations, every, stop_after) in [(10, 10, 0), (10, 10, 10), (11, 0, 10), (30, 10, 0)] {
+        let (outcome, unsaved) = run(iterations, every, stop_after);
+        assert_eq!(outcome.unwrap(), Outcome::Finished, "{iterations}, {every}, {stop_after}");
+        let [told] = &unsaved[..] else { panic!("{iterations}, {every}, {stop_after}: {unsaved:?}") };
+        assert!(told.contains("checkpoint: "), "{told}");
     }
-    for (every, stop_after) in [(10, 0), (0, 10)] {
-        assert!(matches!(outcome(20, every, stop_after), Err(TrainError::Checkpoint(_))), "{every}, {stop_after}");
+    // The stop is heeded in the next iteration.
+    for (every, told) in [(0, 0), (10, 1)] {
+        let (outcome, unsaved) = run(20, every, 10);
+        assert!(matches!(outcome, Err(TrainError::Checkpoint(_))) && unsaved.len() == told, "{every}: {unsaved:?}");
     }
     assert!(!path.exists());
+}
+
+/// Its memory is that of the whole training, of which the part after a stop may need less.
+#[test]
+fn a_resumed_run_has_the_peak_of_memory_of_what_was_before() {
+    let (gpu, capture, folder) = (Gpu::open(None).unwrap(), demo(), tempfile::tempdir().unwrap());
+    let path = folder.path().join("checkpoint");
+    let run = |resume: bool| {
+        let (checkpoints, stop) = (checkpoints(&path, resume), AtomicBool::new(!resume));
+        let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress: &mut |_| {} };
+        train(&capture, MeshSource::None, &options(), session).unwrap().peak_gpu_bytes
+    };
+    let own = run(false);
+    let mut file = Checkpoint::read(&path).unwrap();
+    let log = file.indices.get_mut("log").unwrap();
+    // Its sixth and seventh number: more than any run of this size needs.
+    let before = 1_u64 << 40;
+    assert!((1..before).contains(&own), "{own}");
+    log[5..7].copy_from_slice(&[before as u32, (before >> 32) as u32]);
+    file.write(&path).unwrap();
+    assert_eq!(run(true), before);
 }
 
 /// Buffers have room for no more, so that density control need not replace them, and lists stay as long as they were.
@@ -113,7 +147,7 @@ fn checkpoints_are_of_their_cameras_and_points() {
     let options = TrainOptions { iterations: 60, lambda: f32::INFINITY, ..options() };
     let run = |capture: &Capture, resume: bool| {
         let stop = AtomicBool::new(false);
-        let progress = &mut |_: &Progress| stop.store(true, Ordering::Relaxed);
+        let progress = &mut on_progress(|_| stop.store(true, Ordering::Relaxed));
         let checkpoints = checkpoints(&folder.path().join("checkpoint"), resume);
         let session = Session { gpu: &gpu, checkpoints, stop: &stop, progress };
         train(capture, MeshSource::None, &options, session).map(|trained| trained.outcome)
@@ -169,7 +203,7 @@ fn damaged_checkpoints_are_refused() {
     {
         let run = |resume: bool| {
             let stop = AtomicBool::new(false);
-            let progress = &mut |p: &Progress| stop.store(p.phase == phase, Ordering::Relaxed);
+            let progress = &mut on_progress(|p| stop.store(p.phase == phase, Ordering::Relaxed));
             let session = Session { gpu: &gpu, checkpoints: checkpoints(&path, resume), stop: &stop, progress };
             train(&capture, source.clone(), &options, session)
         };

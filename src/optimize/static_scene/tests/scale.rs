@@ -55,6 +55,32 @@ fn the_near_plane_is_near_in_small_scenes() {
     assert_eq!(near(&small[..1]), 0.05, "one camera says nothing of the size");
 }
 
+/// Before an iteration, rather than by numbers that are not finite or by pictures without order.
+#[test]
+fn scenes_too_small_or_too_large_for_their_unit_are_refused() {
+    let (gpu, stop) = (Gpu::open(None).unwrap(), AtomicBool::new(false));
+    let options = TrainOptions { iterations: 2, max_splats: Some(100), ..options() };
+    let run = |factor: f64| {
+        let mut capture = demo();
+        capture.views.iter_mut().for_each(|view| view.camera = view.camera.scaled(factor));
+        capture.points.iter_mut().for_each(|point| point.position *= factor);
+        let session = Session { gpu: &gpu, checkpoints: Checkpoints::Off, stop: &stop, progress: &mut |_| {} };
+        train(&capture, MeshSource::None, &options, session)
+    };
+    for factor in [1e-20, 1e-15, 1e9, 1e15] {
+        let error = run(factor).unwrap_err();
+        assert!(matches!(error, TrainError::Unit { .. }), "{factor}: {error}");
+        let said = error.to_string();
+        assert!(
+            said.starts_with("demo: expected a scene that views see from 1e-14 to 5e8 units away, found "),
+            "{said}"
+        );
+    }
+    for factor in [1e-13, 1e-6, 1e6, 1e8] {
+        assert_eq!(run(factor).unwrap().outcome, Outcome::Finished, "{factor}");
+    }
+}
+
 /// Also if the mesh exists before the splats, or its surface is made of points.
 #[test]
 fn floats_stay_within_their_budget() {
