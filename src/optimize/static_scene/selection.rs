@@ -25,6 +25,9 @@ const MAPS_SHARE: f64 = 0.5;
 const MOST_FOR_MAPS: f64 = 0.18;
 /// Least size of a connected piece, pixels: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
+/// Most triangles of a gap that is kept with what is around it: through gaps smaller than a splat the background would
+/// show.
+const MOST_OF_GAP: usize = 6;
 /// Assumed fraction of an atlas that charts cover, for choosing its size.
 const COVERAGE: f64 = 0.6;
 /// Texels per pixel, on average over the views that see a triangle, most of them at a slant: enough for those that face
@@ -58,9 +61,11 @@ pub(super) fn select_faces(
     let mut keep: Vec<bool> = (scores.iter().zip(smoothed(mesh, &scores)).zip(&least))
         .map(|((s, [maps, splats]), least)| s.views >= *least && maps <= WORST_RATIO * splats)
         .collect();
+    let gaps = geometry::gaps(mesh.triangles(), &keep, MOST_OF_GAP);
+    keep.iter_mut().zip(gaps).for_each(|(keep, is_gap)| *keep |= is_gap);
     let count = |keep: &[bool]| keep.iter().filter(|k| **k).count();
-    let (all, unseen) = (keep.len(), scores.iter().zip(&least).filter(|(s, least)| s.views < **least).count());
-    let large_or_small = count(&keep);
+    let (all, large_or_small) = (keep.len(), count(&keep));
+    let unseen = scores.iter().zip(&least).zip(&keep).filter(|((s, least), keep)| !**keep && s.views < **least).count();
     drop_small(mesh, &scores, &mut keep);
     let selection = Selection {
         triangles: all,
