@@ -16,7 +16,7 @@ fn a_nan_is_found_and_named() {
         (false, 48 * 10, f32::NAN, "SH coefficients of splat 10"),
     ] {
         let error = error_with(geometry, at, value).to_string();
-        let expected = format!("iteration 10 (Joint): {group} not finite");
+        let expected = format!("iteration 10 (joint): {group} not finite");
         assert_eq!(error, expected);
     }
     // Filters do not hide the value.
@@ -26,7 +26,7 @@ fn a_nan_is_found_and_named() {
         arrays.geometry[12 * 8 + 3] = f32::NAN;
         training.write_splats(&arrays).unwrap();
         let error = run.run_phase(training, scene, Phase::Joint, None).unwrap_err().to_string();
-        assert_eq!(error, "iteration 10 (Joint): opacity logits of splat 8 not finite");
+        assert_eq!(error, "iteration 10 (joint): opacity logits of splat 8 not finite");
     });
 }
 
@@ -52,7 +52,7 @@ fn a_nan_in_a_map_is_found_and_named() {
         first[4 * 70 + 1] = f32::NAN;
         assert!(training.write_texel_moments(&first, &second));
         let error = run.run_phase(training, scene, Phase::Warmup, None).unwrap_err().to_string();
-        assert!(error.starts_with("iteration 10 (Warmup): a map of the mesh not finite"), "{error}");
+        assert!(error.starts_with("iteration 10 (warm-up): a map of the mesh not finite"), "{error}");
     });
 }
 
