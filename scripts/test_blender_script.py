@@ -5,6 +5,7 @@ import json
 import os
 import pathlib
 import re
+import struct
 import sys
 import tempfile
 import unittest
@@ -58,6 +59,7 @@ class Empty(dict):
     """The empty that is the parent of scenes, with its properties."""
 
     type, data, children_recursive, users_collection = "EMPTY", None, (), ()
+    __hash__ = object.__hash__
 
 
 class Blender:
@@ -169,7 +171,67 @@ class Cameras(unittest.TestCase):
             check("x\n")
         self.assertEqual(str(caught.exception), "--camera: expected 0 to 5, a name (a\\nb, c, d, e, f, …), `all` or `path`, found x\\n")
 
+
+class Names(unittest.TestCase):
+    def test_messages_name_the_file_that_runs(self):
+        for file, name in ((None, "s.blend.py"), ("/tmp/we ird.py", "we ird.py"), ("/tmp/a.blend/garden.py", "garden.py")):
+            module = {"__name__": "script"} | ({"__file__": file} if file else {})
+            exec(assembled(["a"]), module)
+            for arguments in (["--help"], ["--triangles", "0"]):
+                said = io.StringIO()
+                with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), self.assertRaises(SystemExit):
+                    module["parse"](arguments)
+                self.assertIn(f"usage: {name} ", said.getvalue())
+                self.assertNotIn("NAME.blend.py", said.getvalue())
+            with contextlib.redirect_stderr(io.StringIO()) as said:
+                module["say"]("hello")
+            self.assertEqual(said.getvalue(), f"{name}: hello\n")
+
+    def test_triangles_are_at_least_one(self):
+        parse = script(["a"])["parse"]
+        self.assertEqual(parse(["--triangles", "1"]).triangles, 1)
+        for count in ("0", "-5"):
+            with contextlib.redirect_stderr(io.StringIO()) as said, self.assertRaises(SystemExit):
+                parse([f"--triangles={count}"])
+            self.assertIn(f"--triangles: expected at least 1, found {count}", said.getvalue())
+
+
+class Maps(unittest.TestCase):
+    def test_a_map_that_is_cut_is_none(self):
+        is_whole = script([])["is_whole_exr"]
+
+        def whole(content):
+            with tempfile.TemporaryDirectory() as folder:
+                path = pathlib.Path(folder, "a.exr")
+                path.write_bytes(content)
+                return is_whole(path)
+
+        entry = lambda name, kind, data: name + b"\0" + kind + b"\0" + struct.pack("<i", len(data)) + data
+        for is_tiled in (True, False):
+            header = struct.pack("<2I", 20000630, 0x202 if is_tiled else 2) + entry(b"chunkCount", b"int", struct.pack("<i", 2))
+            header += (entry(b"tiles", b"tiledesc", bytes(9)) if is_tiled else b"") + b"\0"
+            block = bytes(16 if is_tiled else 4) + struct.pack("<i", 3) + b"abc"
+            start = len(header) + 16
+            content = header + struct.pack("<2Q", start + len(block), start) + 2 * block
+            self.assertTrue(whole(content))
+            self.assertFalse(any(whole(content[:length]) for length in range(len(content))))
+        self.assertFalse(whole(b"PNG" + bytes(500)))
+
+
 class Pictures(unittest.TestCase):
+    def test_what_the_script_reads_is_not_written_over(self):
+        module = script(["a"], meshes=[{"surface": "s_mesh0.ply", "maps": ["s_mesh0_sh00.exr"]}])
+        with tempfile.TemporaryDirectory() as folder:
+            module["home"] = lambda: folder
+            check = lambda name: module["check"](module["parse"](["--render", os.path.join(folder, ".", name)]))
+            check("s_mesh0_sh00.exr")
+            for name in ("s_mesh0_sh00.exr", "other.exr"):
+                pathlib.Path(folder, name).touch()
+            check("other.exr")
+            with self.assertRaises(module["ScriptError"]) as caught:
+                check("s_mesh0_sh00.exr")
+            self.assertRegex(str(caught.exception), r"s_mesh0_sh00\.exr: cannot write: this script reads a file of this name\Z")
+
     def test_one_folder_is_made_for_them(self):
         module = script(["a"])
         check = lambda *path: module["check"](module["parse"](["--render", os.path.join(*path)]))

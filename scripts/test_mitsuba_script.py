@@ -99,6 +99,12 @@ class Cameras(unittest.TestCase):
                 self.refused(labels, text), f"no camera `{text}`; there are 0 (front), 1 (IMG 2.jpg), 2 (0), 3 (front)"
             )
 
+    def test_a_name_is_compared_as_it_is_written(self):
+        # As xml.rs replaces them.
+        labels = ["a_b", "c__"]
+        self.assertEqual([self.index(labels, text) for text in ("a$b", "a_b", "c\n\ufffe", "a\x80b")], [0, 0, 1, 0])
+        self.refused(labels, "a b")
+
     def test_of_many_cameras_a_few_are_named(self):
         few = ", ".join(f"{i} ({i}.jpg)" for i in range(8))
         for count, rest in ((8, ""), (9, ", … to 8"), (300, ", … to 299")):
@@ -109,6 +115,40 @@ class Cameras(unittest.TestCase):
         note = "there are no cameras: add a <sensor> to render images"
         self.assertEqual(self.refused([], "0"), note)
         self.assertIn(f'"{note}"', SCRIPT.with_name("mod.rs").read_text(encoding="utf-8"))
+
+
+class Files(unittest.TestCase):
+    def setUp(self):
+        self.module = script()
+
+    def failed(self, scene, out):
+        with self.assertRaises(SystemExit) as caught:
+            self.module["main"](SimpleNamespace(scene=Path(scene), out=Path(out)))
+        return caught.exception.code
+
+    def test_what_an_xml_refers_to_is_not_written_over(self):
+        maps = '<bsdf type="hybrid_maps"><string name="map_00" value="a_mesh0_sh00.exr"/></bsdf>'
+        with tempfile.TemporaryDirectory() as folder:
+            scene, named, other = (Path(folder, name) for name in ("a.xml", "a_mesh0_sh00.exr", "b.exr"))
+            for path in (named, other):
+                path.touch()
+            scene.write_text(f'<scene version="3.0.0"><string name="label" value="b.exr"/>{maps}</scene>', encoding="utf-8")
+            said = self.failed(scene, Path(folder, "..", Path(folder).name, named.name))
+            self.assertRegex(said, r"a_mesh0_sh00\.exr: cannot write: .*a\.xml refers to a file of this name\Z")
+            self.assertEqual(self.module["files_of"](scene), [named])
+            scene.write_text("<scene", encoding="utf-8")
+            self.assertEqual(self.module["files_of"](scene), [])
+
+    def test_a_map_that_cannot_be_read_is_named(self):
+        def refuse(_):
+            raise RuntimeError("many lines\nRuntimeError: read 3 out of 9 bytes ")
+
+        load = self.module["HybridMaps"].load
+        mitsuba = SimpleNamespace(Bitmap=refuse, file_resolver=lambda: SimpleNamespace(resolve=lambda name: name))
+        stands_in = {"mi": mitsuba, "np": SimpleNamespace(array=None)}
+        with mock.patch.dict(load.__globals__, stands_in), self.assertRaises(RuntimeError) as caught:
+            load("a.exr", 4)
+        self.assertEqual(str(caught.exception), "a.exr: cannot read (read 3 out of 9 bytes)")
 
 
 class Slots(unittest.TestCase):

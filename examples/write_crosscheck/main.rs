@@ -32,6 +32,8 @@ fn main() -> Result<()> {
     let scenes: Vec<Case> = vec![
         // Two intersecting quads with maps of degree 3 and 1; both are blended everywhere.
         ("quads", none(), quads()?, layers(4), vec![View::default()]),
+        // Triangles of one texel each, which have no footprint in the maps, in a scene of large units.
+        ("palette", none(), vec![palette()?], layers(1), vec![View { distance: 4e3, ..View::default() }]),
         // Only the nearest quad is blended.
         ("nearest", Cloud { count: 50, ..Cloud::default() }, quads()?, layers(1), vec![View::default()]),
         (
@@ -310,4 +312,12 @@ fn quad(center: [f32; 3], u: [f32; 3], v: [f32; 3], size: u32, degree: u32, opac
     let bands = (degree > 0)
         .then(|| Texture::new(8, 4, channels, (0..32 * channels).map(|_| rng.random_range(-0.3..0.3)).collect()));
     Ok(Mesh::new(positions, vec![[0, 1, 2], [0, 2, 3]], uvs, Atlas::new(base, bands.transpose()?)?)?)
+}
+
+/// A quad a thousand times as large as others; all corners of a triangle have the coordinates of one texel, as in models
+/// that are coloured by a palette.
+fn palette() -> Result<Mesh> {
+    let quad = quad([0.0, 0.0, 150.0], [800.0, 30.0, 250.0], [20.0, 700.0, 0.0], 16, 1, Opacity::Soft)?;
+    let uvs = [Vec2::new(3.5, 5.5), Vec2::new(12.5, 9.5)].map(|texel| [texel / 16.0; 3]);
+    Ok(Mesh::new(quad.positions().to_vec(), quad.triangles().to_vec(), uvs.to_vec(), quad.atlas().clone())?)
 }

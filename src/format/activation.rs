@@ -36,8 +36,12 @@ const OPAQUE: f32 = 6.2;
 /// Number of mesh layers for a scene that states none: the maximum if a surface lets through what is behind it, as
 /// cut-outs and glass do, else 1.
 pub(super) fn layers(meshes: &[Mesh]) -> u32 {
-    let is_clear = |mesh: &Mesh| mesh.atlas().base().texels().chunks_exact(4).any(|texel| texel[3] < OPAQUE);
     if meshes.iter().any(is_clear) { 4 } else { 1 }
+}
+
+/// Whether a surface lets through what is behind it.
+pub(super) fn is_clear(mesh: &Mesh) -> bool {
+    mesh.atlas().base().texels().chunks_exact(4).any(|texel| texel[3] < OPAQUE)
 }
 
 /// Scale `e^s` of a log-scale, bounded away from 0 and infinity.

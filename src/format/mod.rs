@@ -47,7 +47,7 @@ pub use cameras::{CameraFile, DEFAULT_FPS, MAX_FRAMES, Sampling, frame_count, is
 pub use content::{ReadOptions, SplatFile};
 pub use detect::detect;
 pub use error::{Fault, FormatError, Location, one_line, some_of};
-pub use exchange::{Sharing, sharing};
+pub use exchange::{Sharing, referred, sharing};
 pub use exr::{Channel, ExrCompression, ExrHeader, SampleType, pixel_aspect, write_exr};
 pub use inspect::{CameraSummary, CompositionSummary, MeshSummary, SplatSummary, Summary, inspect};
 pub use kind::Format;

@@ -62,7 +62,8 @@ def write_exr_to(path):
 
 
 def step_compare(a, b):
-    return {"psnr": psnr(read_picture(a), read_picture(b))}
+    a, b = read_picture(a), read_picture(b)
+    return {"psnr": psnr(a, b), "seen": int((b[..., 3] > 0.5).sum())}
 
 
 def step_import(glb, picture):
@@ -147,9 +148,11 @@ def step_text(script, blend):
             bpy.ops.text.run_script()
         return next(o for o in bpy.context.scene.objects if o.get("centaur") == "splats")["built for"]
 
-    state = run_text()
+    kinds = ("objects", "meshes", "materials", "images", "worlds", "node_groups", "cameras", "collections")
+    counts = lambda: [len(getattr(bpy.data, kind)) for kind in kinds]
+    state, before = run_text(), counts()
     text.from_string(text.as_string().replace('"near":', '"near":0.01,"far":', 1))
-    is_replaced = run_text() != state
+    is_replaced = run_text() != state and counts() == before
     stored = bpy.data.texts["centaur.py"].as_string().partition("\n")[2] == text.as_string()
     roots = sum("centaur" in o for o in bpy.data.objects if o.type == "EMPTY")
     bpy.context.window.scene = bpy.data.scenes.new("another")
@@ -177,6 +180,13 @@ def check_script(centaur, glb, folder):
     moved = (folder / "elsewhere").resolve()
     moved.mkdir(exist_ok=True)
     (moved / script.name).write_text(script.read_text())
+    damaged = (folder / "damaged").resolve()
+    shutil.rmtree(damaged, ignore_errors=True)
+    damaged.mkdir()
+    for file in [script, *folder.glob("scene_*")]:
+        shutil.copy(file, damaged)
+    cut = max(damaged.glob("scene_mesh*.exr"))
+    cut.write_bytes(cut.read_bytes()[:-1])
     taken = folder / "taken.blend"
     taken.mkdir(exist_ok=True)
     for arguments, code, message in [
@@ -186,6 +196,8 @@ def check_script(centaur, glb, folder):
         ([script, "--render", folder / "layers.png", "--layers"], 2, "--layers: expected --render FILE.exr"),
         ([script, "--sh-direction", "ray"], 2, "--sh-direction ray: expected --construction cap or shell"),
         ([script, "--render", "a.tif"], 2, "expected a name that ends in .exr or .png"),
+        ([script, "--render", folder / "scene_mesh0_sh00.exr"], 1, "this script reads a file of this name"),
+        ([damaged / script.name], 1, f"{cut.name}: expected an OpenEXR picture, found a file that is cut or damaged"),
         ([script, "--camera", "99"], 1, "--camera: expected 0 to "),
         ([script, "--camera", "nobody"], 1, "found nobody"),
         ([script, "--camera", "path"], 1, "expected --path"),
@@ -220,6 +232,13 @@ def check_flat(centaur, folder):
         run([sys.executable, folder / "flat.blend.py", "--construction", construction, "--render", folder / f"flat-{construction}.exr"])
     models, same = (inside("compare", folder / f"flat-{a}.exr", folder / "flat-cap.exr")["psnr"] for a in ("ewa", "shell"))
     assert models > 25 and same > 60, f"flat splats: cap is {models:.1f} dB from ewa and {same:.1f} dB from shell"
+    # Nothing is clipped because it is far away.
+    rows[:, :3], rows[:, 7:10] = 1e6 * rows[:, :3], rows[:, 7:10] + np.log(1e6)
+    (folder / "far.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    run([*centaur, "convert", folder / "far.ply", folder / "far.blend.py"])
+    run([sys.executable, folder / "far.blend.py", "--render", folder / "far.exr"])
+    near, far = (inside("compare", folder / "far.exr", folder / f"{name}.exr")["seen"] for name in ("flat-ewa", "far"))
+    assert far > 0.5 * near > 0, f"splats cover {near} pixels nearby and {far} far away"
     print(f"flat splats: cap is {models:.0f} dB from ewa and {same:.0f} dB from shell")
 
 

@@ -235,6 +235,34 @@ fn outputs_of_others_do_not_give_their_neighbours_away() {
     refused(folder.path(), "convert g.ply i.xml");
 }
 
+#[test]
+fn what_only_the_replaced_export_used_is_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_splats(&at("g.ply"), 5);
+    let leave = || {
+        run(folder.path(), "convert g.ply s.blend.py");
+        let text = std::fs::read_to_string(at("s.blend.py")).unwrap();
+        // As of an animated scene with a mesh.
+        let text = text.replace("\"motion\":null", "\"motion\":{\"file\":\"s_motion.npz\",\"mesh\":\"s_mesh0.ply\"}");
+        assert!(text.contains("s_motion.npz"));
+        std::fs::write(at("s.blend.py"), text).unwrap();
+        for name in ["s_motion.npz", "s_mesh0.ply", "s_mesh1.ply"] {
+            std::fs::write(at(name), "").unwrap();
+        }
+    };
+    leave();
+    let said = run(folder.path(), "convert g.ply s.blend.py --scale 2");
+    let expected = "s_motion.npz, which only the replaced export used, is removed";
+    assert!(said.contains(expected) && !at("s_motion.npz").exists() && !at("s_mesh0.ply").exists(), "{said}");
+    assert!(at("s_mesh1.ply").exists(), "the export did not refer to it");
+    assert!(at("s_splats.ply").exists() && at("g.ply").exists());
+    leave();
+    run(folder.path(), "convert g.ply s.xml");
+    run(folder.path(), "convert g.ply s.blend.py");
+    assert!(at("s_motion.npz").exists(), "the other export may use it");
+}
+
 /// As after a renaming; only where case does not matter is it the same file.
 #[test]
 fn an_export_names_its_files_in_any_case_where_the_system_ignores_it() {

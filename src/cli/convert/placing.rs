@@ -55,7 +55,9 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
         }
     }
     spare_foreign(output, &companions, inputs)?;
-    let shown = showing(output, &place.with_file_name(name), &companions)?;
+    let beside = place.with_file_name(name);
+    let shown = showing(output, &beside, &companions)?;
+    let former = only_of_former(output, &beside, &companions, inputs);
     // A file that refers to others must not appear before them.
     let all = companions.iter().map(|file| (&*file.staged, &*file.place));
     let staged = staging.path().join(name);
@@ -64,7 +66,30 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
         .map_err(|(file, error)| anyhow::Error::from(error).context(format!("{}: cannot write", file.display())))?;
     let note =
         |other: Sharing| format!("{} uses files that were replaced: convert it again, too", other.path.display());
-    Ok(shown.into_iter().map(note).collect())
+    Ok(shown.into_iter().map(note).chain(former.iter().map(|file| removed(file))).collect())
+}
+
+/// Companions of the former version of `output` that the new one lacks, unless they are inputs or another export may
+/// use them.
+fn only_of_former(output: &Path, beside: &Path, companions: &[Companion], inputs: &[PathBuf]) -> Vec<PathBuf> {
+    if !format::sharing(beside, IGNORES_CASE).is_ok_and(|others| others.is_empty()) {
+        return vec![];
+    }
+    let is_kept = |path: &PathBuf| {
+        companions.iter().any(|file| file.place == *path)
+            || output::spare(path, inputs.iter().map(PathBuf::as_path)).is_err()
+    };
+    let former = format::referred(output).into_iter().map(|name| beside.with_file_name(name));
+    former.filter(|path| path.is_file() && !is_kept(path)).collect()
+}
+
+/// Removes a file that only a replaced export used; returns a note.
+fn removed(file: &Path) -> String {
+    let file_is = format!("{}, which only the replaced export used, is", file.display());
+    match std::fs::remove_file(file) {
+        Ok(()) => format!("{file_is} removed"),
+        Err(error) => format!("{file_is} still there, since it cannot be removed: {error}"),
+    }
 }
 
 /// Rejects an output that belongs to others: a file that an export beside it uses, or points of a capture.

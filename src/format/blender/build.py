@@ -10,17 +10,35 @@ COSTS = {"ewa": (3.5e-5, 465), "cap": (9e-5, 2300), "shell": (6e-5, 2000)}
 
 
 def read_files(folder):
-    """What lies beside the script: splats, the tables and the paths of maps of each mesh, and motion."""
+    """What lies beside the script: splats, the table and the maps of each mesh, and motion."""
     at = lambda name: os.path.join(folder, name)
     splats = read_splats(at(SCENE["splats"])) if SCENE["splats"] else None
-    surfaces = []
-    for files in SCENE["meshes"]:
-        maps = [at(name) for name in files["maps"]]
-        for path in maps:
-            if not os.access(path, os.R_OK):
-                raise unreadable_map(path)
-        surfaces.append((read_ply(at(files["surface"])), maps))
-    return splats, surfaces, read_motion(folder)
+    images = []
+    try:
+        surfaces = []
+        for files in SCENE["meshes"]:
+            maps = [load_map(at(name), images) for name in files["maps"]]
+            surfaces.append((read_ply(at(files["surface"])), maps))
+        return splats, surfaces, read_motion(folder)
+    except ScriptError:
+        bpy.data.batch_remove(images)
+        raise
+
+
+def load_map(path, images):
+    """The image at a path, which is also added to `images`."""
+    if not os.access(path, os.R_OK):
+        raise ScriptError(f"{path}: cannot read; it lies beside the script where `centaur convert` wrote it")
+    damaged = ScriptError(f"{path}: expected an OpenEXR picture, found a file that is cut or damaged")
+    if not is_whole_exr(path):
+        raise damaged
+    try:
+        images.append(bpy.data.images.load(path))
+    except RuntimeError:
+        raise damaged
+    if 0 in images[-1].size:  # what Blender has of a picture that it cannot read
+        raise damaged
+    return images[-1]
 
 
 def build(files, options):
@@ -33,6 +51,7 @@ def build(files, options):
     root.matrix_world = Matrix(TURN)
     root.empty_display_type = "ARROWS"
     collection.objects.link(root)
+    root["far"] = farthest(splats, [tables["vertex"] for tables, _ in surfaces], motion)
     # What the handler needs to go on in a saved .blend.
     decode = SCENE["composition"]["colorSpace"] == "srgb" and options.space == "linear"
     root["centaur"] = json.dumps({"scene": name, "construction": options.construction, "decode": decode, "near": SCENE["composition"]["near"],
@@ -51,6 +70,22 @@ def build(files, options):
     if motion is not None:
         add_motion(collection, root, motion, has_path)
     return collection
+
+
+def farthest(splats, tables, motion):
+    """How far from the origin of the scene anything is at most, at any time."""
+    bounds = [norm_bound(np.reshape([camera["translation"] for camera in SCENE["cameras"]], (-1, 3)))]
+    if splats is not None:
+        bounds.append(norm_bound(splats.mean) + 4 * float(splats.scale.max()))
+    bounds += [norm_bound(places(vertices)) for vertices in tables]
+    if motion is not None:
+        bounds.append(farthest_moved(motion))
+    return max(bounds)
+
+
+def norm_bound(vectors):
+    """The length of the longest of vectors [..., 3]."""
+    return float(np.linalg.norm(vectors, axis=-1).max(initial=0))
 
 
 def warn_of_size(count, construction):
@@ -138,14 +173,15 @@ def carried(mesh):
                   np.stack(sh, 1))
 
 
-def unreadable_map(path):
-    return ScriptError(f"{path}: cannot read; it lies beside the script where `centaur convert` wrote it")
+def places(vertices):
+    """Positions [V, 3] of a table of vertices."""
+    return np.stack([vertices[c] for c in "xyz"], 1).astype(np.float64)
 
 
-def add_mesh(collection, root, name, tables, paths, decode):
+def add_mesh(collection, root, name, tables, images, decode):
     vertices, corners = tables["vertex"], tables["face"]["vertex_indices"]
     mesh = bpy.data.meshes.new(name)
-    points = np.stack([vertices[c] for c in "xyz"], 1).astype(np.float64)
+    points = places(vertices)
     fill(mesh, points, corners)
     # Blender's v points up.
     uv = np.stack([vertices["s"], 1 - vertices["t"].astype(np.float64)], 1)[corners]
@@ -154,11 +190,8 @@ def add_mesh(collection, root, name, tables, paths, decode):
         mesh.attributes.new(label, "FLOAT_VECTOR", "FACE")
     set_planes(mesh, points)
     maps = []
-    for path in paths:
-        try:
-            image = bpy.data.images.load(path)
-        except RuntimeError:
-            raise unreadable_map(path)
+    for image in images:
+        image.name = os.path.basename(image.filepath)  # which that of a former scene had when it was loaded
         maps.append(mip_levels(image, "RGB" if maps else "RGBA"))
     mesh.materials.append(mesh_material(name, maps, decode, SCENE["composition"]["near"]))
     thing = attach(collection, root, name, mesh)
@@ -233,10 +266,12 @@ def remove_former():
     if not is_built():
         raise ScriptError(f"this file holds `{settings.get('scene', root.name)}` already: expected a file without, or delete its collection")
     collections = list(root.users_collection)
-    things = [*root.children_recursive, root]
-    contents = {thing.data for thing in things if thing.data is not None}
-    bpy.data.batch_remove(things)
-    bpy.data.batch_remove([content for content in contents if content.users == 0])
+    removed, count, users = {*root.children_recursive, root}, 0, bpy.data.user_map()
+    # Meshes, materials, images, actions: what nothing else uses.
+    while len(removed) > count:
+        count = len(removed)
+        removed |= {block for block, by in users.items() if by and by <= removed and not block.use_fake_user}
+    bpy.data.batch_remove(removed)
     for collection in collections:
         if not collection.all_objects and not collection.children and collection != bpy.context.scene.collection:
             bpy.data.collections.remove(collection)

@@ -26,10 +26,9 @@ def add_camera(collection, root, camera):
     data = bpy.data.cameras.new(camera["name"])
     data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR
     data.lens, data.shift_x, data.shift_y = optics(camera)[:3]
-    # Materials cut at `near`; triangles of `cap` may begin a little before their peaks. It grows with the scene, as
-    # what is far away does.
+    # Materials cut at `near`; triangles of `cap` may begin a little before their peaks. Cameras have room to move.
     near = SCENE["composition"]["near"]
-    data.clip_start, data.clip_end = 0.9 * near, max(1e5, 5e5 * near)
+    data.clip_start, data.clip_end = 0.9 * near, max(1e5, 5e5 * near, 10 * root["far"])
     thing = attach(collection, root, camera["name"], data)
     thing.matrix_basis = pose(camera)
     thing["centaur"] = "camera"

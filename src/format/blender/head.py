@@ -2,6 +2,7 @@ import argparse
 import contextlib
 import json
 import os
+import shlex
 import struct
 import sys
 import tempfile

@@ -44,7 +44,7 @@ examples:
 
 
 def parse(arguments):
-    parser = argparse.ArgumentParser(prog=f"{SCENE['name']}.blend.py", description=HELP, epilog=EXAMPLES.replace("NAME", SCENE["name"]),
+    parser = argparse.ArgumentParser(prog=own_name(), description=HELP, epilog=EXAMPLES.replace("NAME.blend.py", shlex.quote(own_name())),
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--save", metavar="FILE.blend", help="save the scene, maps packed into it")
@@ -65,6 +65,8 @@ def parse(arguments):
         "renders each, to FILE_0001.exr and so on, where nothing moves one (default: 1)")
     add("--path", type=int, metavar="FRAMES", help="add a camera that moves through all others, FRAMES from one to the next")
     options = parser.parse_args(arguments)
+    if options.triangles < 1:
+        parser.error(f"--triangles: expected at least 1, found {options.triangles}")
     if options.path is not None and options.path < 1:
         parser.error("--path: expected at least 1 frame")
     if options.frame != "all" and not (is_number(options.frame) and 1 <= int(options.frame) <= LAST_FRAME):
@@ -80,8 +82,13 @@ def parse(arguments):
     return options
 
 
+def own_name():
+    """Name of the file or text that runs."""
+    return os.path.basename(globals().get("__file__", "")) or f"{SCENE['name']}.blend.py"
+
+
 def say(text):
-    print(f"{SCENE['name']}.blend.py: {text}", file=sys.stderr)
+    print(f"{own_name()}: {text}", file=sys.stderr)
 
 
 def own_text():
@@ -157,6 +164,14 @@ def writable(path, makes_folder=False):
         raise ScriptError(f"{path}: cannot write: {folder} is not writable")
 
 
+def spare_own(path):
+    """Refuses to write over what the script reads."""
+    names = [SCENE["splats"], *(name for mesh in SCENE["meshes"] for name in (mesh["surface"], *mesh["maps"]))]
+    own = [os.path.join(home(), name) for name in names if name] if os.path.exists(path) else []
+    if any(os.path.exists(name) and os.path.samefile(name, path) for name in own):
+        raise ScriptError(f"{path}: cannot write: this script reads a file of this name")
+
+
 def make_folder(path):
     """The folder of a picture, where `writable` has let it be missing."""
     folder = os.path.dirname(os.path.abspath(path))
@@ -182,6 +197,7 @@ def check(options):
         writable(options.save)
     if options.render:
         writable(options.render, makes_folder=True)
+        spare_own(options.render)
     count = len(SCENE["cameras"])
     if options.path and options.path * (count - 1) >= LAST_FRAME:
         raise ScriptError(f"--path: expected at most {LAST_FRAME} frames through {count} cameras, found {options.path} from one to the next")
@@ -313,14 +329,14 @@ def main():
         arguments = sys.argv[1:]
     options = parse(arguments)
     if bpy is None or bpy.app.version < (4, 5, 0):
-        sys.exit(f"{SCENE['name']}.blend.py: this script needs Blender 4.5 or later: pip install bpy==4.5.15 (Python 3.11), or "
+        sys.exit(f"{own_name()}: this script needs Blender 4.5 or later: pip install bpy==4.5.15 (Python 3.11), or "
                  "blender --background --python FILE -- OPTIONS")
     try:
         run(options)
     except ScriptError as error:
         if not bpy.app.background:
             raise RuntimeError(str(error)) from None  # leaving would end Blender
-        sys.exit(f"{SCENE['name']}.blend.py: {error}")
+        sys.exit(f"{own_name()}: {error}")
     finally:
         if not bpy.app.binary_path:
             listen(False)  # the module `bpy` does not end while Python functions are registered

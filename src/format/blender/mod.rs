@@ -29,7 +29,7 @@ use serde_json::{Value, json};
 use super::error::Fault;
 use super::exchange::{self, Beside};
 use super::gltf::moving::Moving;
-use super::{FormatError, Loss, WriteReport, atomic_write};
+use super::{FormatError, Loss, WriteReport, activation, atomic_write};
 use crate::scene::{Camera, ColorSpace, HybridScene, OrderMode};
 
 /// File-name ending of scripts.
@@ -94,10 +94,10 @@ fn loses_order(scene: &HybridScene) -> bool {
     !scene.splats.is_empty() && !scene.meshes.is_empty() && scene.composition.mode != OrderMode::Direct
 }
 
-/// Whether a ray may meet more surfaces than the composition blends.
+/// Whether a ray may show more surfaces than the composition blends.
 fn has_more_surfaces(scene: &HybridScene) -> bool {
     let triangles: usize = scene.meshes.iter().map(|mesh| mesh.triangles().len()).sum();
-    triangles > scene.composition.layers as usize
+    triangles > scene.composition.layers as usize && scene.meshes.iter().any(activation::is_clear)
 }
 
 fn script(scene: &Value) -> String {

@@ -32,7 +32,10 @@ def set_clock(has_path):
 
 
 def animate(owner, channels):
-    """Keys {data path: values [frames, width]} of an ID; a value that never changes has one."""
+    """Keys {data path: values [frames, width]} of an ID that has the first of these values; what never changes has none."""
+    channels = {path: values for path, values in channels.items() if np.ptp(values, axis=0).any()}
+    if not channels:
+        return
     action = bpy.data.actions.new(owner.name)
     slot = action.slots.new(id_type=owner.id_type, name=owner.name)
     bag = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
@@ -108,15 +111,59 @@ def add_motion(collection, root, motion, has_path):
             move(thing, np.array([pose({"rotation": row[:9], "translation": row[9:]}) for row in rows]))
 
 
+def skin_bones(motion, index):
+    """The bones that move the skin of a mesh."""
+    return np.unique(motion[f"mesh{index}_joints"][motion[f"mesh{index}_influences"] > 0]).tolist()
+
+
+def rest_frames(motion, skinned):
+    """Where skins rest in the scene: of every bone a similarity [B, 4, 4] from the frame in which it is bound, which may be any, z up or
+    in other units. It is that of the topmost joint at rest, and one for all bones that move a mesh."""
+    above, top = SCENE["motion"]["parents"], []
+    for bone in range(len(above)):
+        while above[bone] is not None:
+            bone = above[bone]
+        top.append(bone)
+    for index in skinned:
+        joined = {top[bone] for bone in skin_bones(motion, index)}
+        top = [min(joined) if bone in joined else bone for bone in top]
+    frames = motion["bones_rest"][top].copy()
+    left, sizes, right = np.linalg.svd(frames[:, :3, :3])
+    frames[:, :3, :3] = np.prod(sizes, axis=1)[:, None, None] ** (1 / 3) * (left @ right)
+    return frames
+
+
+def farthest_moved(motion):
+    """How far from the origin of the scene anything that moves is at most."""
+    far = norm_bound(motion["cameras"][..., 9:]) if "cameras" in motion else 0.0
+    if "bones" not in motion:
+        return far
+    at = motion["bones"]
+    stretched, shifted = np.linalg.norm(at[:, :, :3, :3], axis=(2, 3)).max(0), np.linalg.norm(at[:, :, :3, 3], axis=2).max(0)
+    held = []  # (bones, the radius of what they hold, in its frame)
+    for index in SCENE["motion"]["meshes"]:
+        get = lambda what: motion.get(f"mesh{index}_{what}")
+        bones = get("bone") if get("bone") is not None else skin_bones(motion, index)
+        weights = np.abs(motion["weights"][:, get("weights")]).max(0)
+        held.append((bones, norm_bound(get("base")) + sum(w * norm_bound(d) for w, d in zip(weights, get("deltas")))))
+    if SCENE["motion"]["splats"]:
+        sizes = np.linalg.norm(motion["splat_translations"], axis=1) + 4 * motion["splat_scales"].max(1)
+        held += [([bone], sizes[motion["splat_bones"] == bone].max()) for bone in {*motion["splat_bones"]} - {-1, -2}]
+    return max([far, *(float((stretched[bones] * size + shifted[bones]).max()) for bones, size in held)])
+
+
 def mesh_objects(root):
     return {c["index"]: c for c in root.children if c.get("centaur") == "mesh"}
 
 
 def deform(thing, motion, index, rig):
-    """Gives a mesh its shape keys, and its bone or its armature: `rig` is that and the names of its bones."""
+    """Gives a mesh its shape keys, and its bone or its armature, `rig` of `add_armature`."""
     get = lambda what: motion.get(f"mesh{index}_{what}")
     base, deltas, which, bone = get("base").astype(np.float64), get("deltas"), get("weights"), get("bone")
-    if bone is not None:
+    if bone is None:
+        rest = rig[2][skin_bones(motion, index)[0]]
+        base, deltas = base @ rest[:3, :3].T + rest[:3, 3], deltas @ rest[:3, :3].T
+    else:
         matrices = motion["bones"][:, bone[0]]
         if len(SCENE["meshes"][index]["maps"]) > 1:
             # View dependence is in the frame in which the mesh rests, which has to be that of the object.
@@ -134,13 +181,14 @@ def deform(thing, motion, index, rig):
             unit = max(1.0, np.abs(values).max() / 10)  # Blender's values end at 10
             key = thing.shape_key_add(name=f"target {i}", from_mix=False)
             key.slider_min, key.slider_max = -10, 10
+            key.value = values[0] / unit
             key.data.foreach_set("co", (base + unit * delta).astype(np.float32).ravel())
             channels[f'key_blocks["{key.name}"].value'] = values / unit
         animate(thing.data.shape_keys, channels)
     if bone is not None:
         move(thing, matrices)
         return
-    armature, names = rig
+    armature, names, _ = rig
     groups = {bone: thing.vertex_groups.new(name=name) for bone, name in names.items()}
     joints, influences = get("joints"), get("influences").astype(np.float64)
     influences /= influences.sum(1, keepdims=True)
@@ -154,10 +202,11 @@ def deform(thing, motion, index, rig):
 def add_armature(collection, root, motion, skinned):
     """Bones of all skins where they were bound, each below the next joint above it, if Blender's bones can then be where they are.
 
-    -> (armature, {bone: name})
+    -> (armature, {bone: name}, `rest_frames`)
     """
-    above, binds, at = SCENE["motion"]["parents"], motion["binds"], motion["bones"]
-    used = {int(b) for i in skinned for b in np.unique(motion[f"mesh{i}_joints"][motion[f"mesh{i}_influences"] > 0])}
+    above, frames = SCENE["motion"]["parents"], rest_frames(motion, skinned)
+    binds, at = frames @ motion["binds"], motion["bones"] @ np.linalg.inv(frames)
+    used = {bone for index in skinned for bone in skin_bones(motion, index)}
     for bone in list(used):  # joints between others
         while (bone := above[bone]) is not None:
             used.add(bone)
@@ -200,12 +249,14 @@ def add_armature(collection, root, motion, skinned):
         rests[bone] = np.array(data.bones[names[bone]].matrix_local, np.float64)  # as Blender has rounded it
         location, rotation, scale, error = decomposed(local(bone, parent))
         worst = max(worst, error)
+        posed = thing.pose.bones[names[bone]]
+        posed.location, posed.rotation_quaternion, posed.scale = location[0], rotation[0], scale[0]
         path = f'pose.bones["{bpy.utils.escape_identifier(names[bone])}"].'
         channels |= {path + "location": location, path + "rotation_quaternion": rotation, path + "scale": scale}
     animate(thing, channels)
     if worst > 1e-5:
         say(f"joints are sheared by up to {worst:.1e}, which Blender's bones are not: they are shown unsheared")
-    return thing, names
+    return thing, names, frames
 
 
 def bind(collection, root, motion):

@@ -24,14 +24,16 @@ def settle(decode):
     scene.view_settings.view_transform = "Standard" if is_linear else "Raw"
     scene.view_settings.look = "None"
     scene.view_settings.exposure, scene.view_settings.gamma = 0, 1
-    world = bpy.data.worlds.new(SCENE["name"])
+    if scene.world is None or "centaur" not in scene.world:
+        scene.world = bpy.data.worlds.new(SCENE["name"])
+    world = scene.world
+    world["centaur"] = SCENE["name"]
     if not world.node_tree:
         world.use_nodes = True
     background = np.array(SCENE["composition"]["background"])
     shown = srgb_to_linear(background) if decode else background
     node = next(n for n in world.node_tree.nodes if n.type == "BACKGROUND")
     node.inputs["Color"].default_value = (*shown, 1)
-    scene.world = world
     for layer in scene.view_layers:
         layer.material_override, layer.samples = None, 0
         for name in ("splats", "mesh"):
@@ -157,11 +159,11 @@ def write_exr(path, channels, texts):
     write_file(path, start + offsets.tobytes() + b"".join(blocks))
 
 
-def read_exr(path):
-    """{channel: [h, w]} of a scanline file without compression, of one part or several, as Blender writes it."""
-    with open(path, "rb") as file:
-        data = file.read()
-    flags = struct.unpack_from("<I", data, 4)[0]
+def exr_parts(data):
+    """Attributes {name: bytes} of each part of a file, whether it is one of several parts, and where its headers end."""
+    magic, flags = struct.unpack_from("<2I", data)
+    if magic != 20000630:
+        raise ValueError("no OpenEXR")
     is_multipart, at = bool(flags & 0x1000), 8
 
     def text(at):
@@ -174,14 +176,36 @@ def read_exr(path):
         while data[at]:
             name, at = text(at)
             _, at = text(at)
-            size = struct.unpack_from("<i", data, at)[0]
+            size = struct.unpack_from("<I", data, at)[0]
             part[name] = data[at + 4:at + 4 + size]
             at += 4 + size
         at += 1
         parts.append(part)
         if not is_multipart:
             break
-    at += is_multipart
+    return parts, is_multipart, at + is_multipart
+
+
+def is_whole_exr(path):
+    """Whether the last block of a file is there. Blender may show a file that is cut as if it were whole."""
+    with open(path, "rb") as file:
+        data = file.read()
+    try:
+        (part, *others), _, at = exr_parts(data)
+        if others or "chunkCount" not in part:
+            return True  # of another program, for Blender to judge
+        last = max(struct.unpack_from(f"<{struct.unpack('<I', part['chunkCount'])[0]}Q", data, at))
+        last += 16 if "tiles" in part else 4  # behind its place
+        return last + 4 + struct.unpack_from("<I", data, last)[0] <= len(data)
+    except (struct.error, ValueError, IndexError):
+        return False
+
+
+def read_exr(path):
+    """{channel: [h, w]} of a scanline file without compression, of one part or several, as Blender writes it."""
+    with open(path, "rb") as file:
+        data = file.read()
+    parts, is_multipart, at = exr_parts(data)
     planes, chunks = [], 0
     for part in parts:
         x0, y0, x1, y1 = struct.unpack("<4i", part["dataWindow"])

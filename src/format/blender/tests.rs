@@ -6,7 +6,7 @@ use super::*;
 use crate::format::cameras::CameraFile;
 use crate::format::test_scenes::{camera, random_scene};
 use crate::format::{ReadOptions, WriteOptions, read_file, write_cameras_with_scene, write_scene};
-use crate::scene::Splats;
+use crate::scene::{Atlas, Mesh, Splats, Texture};
 
 fn written(scene: &HybridScene, cameras: &[(String, Camera)]) -> (String, WriteReport) {
     let folder = tempfile::tempdir().unwrap();
@@ -58,6 +58,23 @@ fn parts_that_are_missing_are_told_to_be() {
     assert_eq!(told(&script)["splats"], Value::Null);
     assert_eq!(report.notes.len(), 1, "{:?}", report.notes);
     assert!(written(&scene, &[]).1.notes[0].contains("not `surfaceConsistent`"));
+}
+
+#[test]
+fn opaque_surfaces_look_alike_however_many_are_shown() {
+    let mut scene = random_scene(0, 2, 0, 4);
+    for logit in [6.2, 6.1] {
+        let opaque = |mesh: &Mesh| {
+            let base = mesh.atlas().base();
+            let texels = base.texels().iter().enumerate().map(|(i, v)| if i % 4 == 3 { logit } else { *v }).collect();
+            let base = Texture::new(base.width(), base.height(), 4, texels).unwrap();
+            mesh.clone().with_atlas(Atlas::new(base, mesh.atlas().bands().cloned()).unwrap())
+        };
+        scene.meshes = scene.meshes.iter().map(opaque).collect();
+        let report = written(&scene, &[]).1;
+        let is_opaque = logit == 6.2;
+        assert_eq!((report.notes.is_empty(), report.loss.is_none()), (is_opaque, is_opaque), "{logit}: {report:?}");
+    }
 }
 
 #[test]

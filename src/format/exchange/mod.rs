@@ -66,14 +66,6 @@ pub struct Sharing {
 /// If the folder cannot be listed.
 pub fn sharing(output: &Path, ignores_case: bool) -> io::Result<Vec<Sharing>> {
     let are_one = |a: &OsStr, b: &OsStr| if ignores_case { a.eq_ignore_ascii_case(b) } else { a == b };
-    let named = |path: &Path| -> Option<(usize, String, String)> {
-        let name = path.file_name()?.to_string_lossy().into_owned();
-        let ends = |suffix: &&&str| name.to_lowercase().ends_with(**suffix);
-        let of = |kind: usize| KINDS[kind].iter().find(ends).map(|suffix| (kind, suffix.len()));
-        let (kind, length) = of(0).or_else(|| of(1))?;
-        let own = name.get(..name.len() - length)?.to_owned();
-        Some((kind, stem(path, &name[own.len()..]), own))
-    };
     let Some((kind, prefix, own)) = named(output) else { return Ok(vec![]) };
     let mut found = vec![];
     for entry in folder_of(output).read_dir()? {
@@ -87,6 +79,41 @@ pub fn sharing(output: &Path, ignores_case: bool) -> io::Result<Vec<Sharing>> {
     }
     found.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(found)
+}
+
+/// Index in [`KINDS`], stem of the accompanying files, and name before the ending of an export; `None` for other names.
+fn named(path: &Path) -> Option<(usize, String, String)> {
+    let name = path.file_name()?.to_string_lossy().into_owned();
+    let ends = |suffix: &&&str| name.to_lowercase().ends_with(**suffix);
+    let of = |kind: usize| KINDS[kind].iter().find(ends).map(|suffix| (kind, suffix.len()));
+    let (kind, length) = of(0).or_else(|| of(1))?;
+    let own = name.get(..name.len() - length)?.to_owned();
+    Some((kind, stem(path, &name[own.len()..]), own))
+}
+
+/// Names of the accompanying files to which the export for a rendering program at `output` refers: those that its name
+/// gives them, sorted. None if there is no such export, or none that can be read.
+#[must_use]
+pub fn referred(output: &Path) -> Vec<String> {
+    let Some((0, stem, _)) = named(output) else { return vec![] };
+    let text = std::fs::read_to_string(output).unwrap_or_default();
+    let mut names: Vec<String> =
+        text.split('"').filter(|name| is_accompanying(name, &stem)).map(str::to_owned).collect();
+    names.sort_unstable();
+    names.dedup();
+    names
+}
+
+/// Whether a name is one of those of this module's table, or that of the animation of a script for Blender.
+fn is_accompanying(name: &str, stem: &str) -> bool {
+    let Some(part) = name.strip_prefix(stem).and_then(|rest| rest.strip_prefix('_')) else { return false };
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    let Some(of_mesh) = part.strip_prefix("mesh") else { return matches!(part, "splats.ply" | "motion.npz") };
+    of_mesh.strip_suffix(".ply").is_some_and(is_number)
+        || of_mesh
+            .strip_suffix(".exr")
+            .and_then(|map| map.split_once("_sh"))
+            .is_some_and(|(mesh, coefficient)| is_number(mesh) && is_number(coefficient))
 }
 
 /// Stem of the names of accompanying files: the part of the output's name before `suffix` (`.xml`, ignoring case), with

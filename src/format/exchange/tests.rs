@@ -3,6 +3,7 @@
 use super::*;
 use crate::format::ReadOptions;
 use crate::format::test_scenes::{random_mesh, random_scene};
+use crate::format::{WriteOptions, write_scene};
 
 #[test]
 fn names_come_of_the_stem() {
@@ -29,6 +30,24 @@ fn exports_share_files_in_any_case_where_the_system_ignores_it() {
     assert!(of("a B.xml", false).is_empty() && of("a_b.xml", false).is_empty());
     assert_eq!(of("A b.BLEND.py", false), [(at("A b.blend.py"), true)]);
     assert_eq!(of("A_b.xml", false), [(at("A b.blend.py"), false)]);
+}
+
+#[test]
+fn exports_refer_to_what_they_have_written_and_to_nothing_of_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, options) = (random_scene(9, 2, 3, 5), WriteOptions::default());
+    for name in ["a b.xml", "a b.blend.py"] {
+        let output = folder.path().join(name);
+        assert!(referred(&output).is_empty());
+        let mut written = write_scene(&output, &scene, &options).unwrap().beside;
+        written.retain(|name| name != "hybrid_rf.py");
+        written.sort();
+        assert_eq!(referred(&output), written);
+    }
+    assert!(["a_motion.npz", "a_mesh10.ply", "a_mesh0_sh15.exr"].iter().all(|name| is_accompanying(name, "a")));
+    for name in ["a_mesh.ply", "a_mesh0.exr", "a_mesh0_sh.exr", "a_meshx_sh00.exr", "a_b_splats.ply", "a.blend.py"] {
+        assert!(!is_accompanying(name, "a"), "{name}");
+    }
 }
 
 #[test]

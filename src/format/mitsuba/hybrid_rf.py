@@ -6,7 +6,7 @@ or, in a program of one's own, once a variant is set (`llvm_ad_rgb` or `cuda_ad_
 
     import mitsuba as mi; mi.set_variant('llvm_ad_rgb')
     import hybrid_rf; hybrid_rf.register()
-    image = mi.render(mi.load_file('scene.xml'), sensor=0)
+    image = mi.render(mi.load_file('scene.xml', parallel=False), sensor=0)
 
 It registers four plug-ins:
 
@@ -28,6 +28,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 
 LLVM_FOLDERS = ['/usr/lib', '/usr/lib64', '/usr/local/lib', '/opt/homebrew/opt', '/usr/local/opt']
@@ -118,14 +119,20 @@ class HybridMaps(mi.BSDF):
         self.m_components = [mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide]
         self.m_flags = self.m_components[0]
         names = [f'map_{k:02}' for k in range(16) if f'map_{k:02}' in props]
-        maps = [self.load(props[name]) for name in names]
+        maps = [self.load(props[name], 3 if i else 4) for i, name in enumerate(names)]
         self.degree = {1: 0, 4: 1, 9: 2, 16: 3}[len(maps)]
         self.base = self.levels(maps[0])
         self.bands = self.levels(np.concatenate([m[..., :3] for m in maps[1:]], axis=-1)) if len(maps) > 1 else []
 
     @staticmethod
-    def load(name):
-        return np.array(mi.Bitmap(str(mi.file_resolver().resolve(name)))).astype(np.float32)
+    def load(name, channels):
+        try:
+            texels = np.array(mi.Bitmap(str(mi.file_resolver().resolve(name)))).astype(np.float32)
+        except RuntimeError as error:
+            raise RuntimeError(f'{name}: cannot read ({last_line(error)})') from None
+        if texels.ndim != 3 or texels.shape[2] < channels:
+            raise RuntimeError(f'{name}: expected {channels} channels, found those of another picture')
+        return texels
 
     @staticmethod
     def levels(texels):
@@ -152,27 +159,16 @@ class HybridMaps(mi.BSDF):
             values = [v + weight * t for v, t in zip(values, texture.eval(uv, active & (weight > 0)))]
         return values
 
-    def radiance(self, si, direction, pixel, active):
-        """Colour towards the viewer who looks along `direction`, and opacity. `pixel`: how `direction` changes per pixel, to the
-        right and down; the finest level is taken where it is None."""
-        duv = [self.duv(si, direction, step) if pixel else mi.Vector2f(0) for step in pixel or (None, None)]
+    def radiance(self, si, direction, duv, active):
+        """Colour towards the viewer who looks along `direction`, and opacity. `duv`: how UV changes per pixel, to the right and
+        down; the finest level is taken where it is 0."""
         base = self.filtered(self.base, si.uv, *duv, active)
         coefficients = [*base[:3], *(self.filtered(self.bands, si.uv, *duv, active) if self.bands else [])]
         alpha = dr.minimum(dr.rcp(1 + dr.exp(-base[3])), MAX_SURFACE_ALPHA)
         return sh_color(coefficients, dr.normalize(direction), self.degree), alpha
 
-    @staticmethod
-    def duv(si, direction, step):
-        """Change of UV where the surface is met, per `step` of the ray's direction; `si.t` is along `direction`, from the camera."""
-        n, u, v = si.n, si.dp_du, si.dp_dv
-        move = si.t * (step - direction * (dr.dot(n, step) / dr.dot(n, direction)))
-        uu, uv, vv, um, vm = dr.dot(u, u), dr.dot(u, v), dr.dot(v, v), dr.dot(u, move), dr.dot(v, move)
-        inverse = dr.rcp(uu * vv - uv * uv)
-        change = mi.Vector2f((vv * um - uv * vm) * inverse, (uu * vm - uv * um) * inverse)
-        return dr.select(dr.isfinite(inverse), change, 0)
-
     def eval_null_transmission(self, si, active=True):
-        return mi.Spectrum(1 - self.radiance(si, -si.to_world(si.wi), None, active)[1])
+        return mi.Spectrum(1 - self.radiance(si, -si.to_world(si.wi), [mi.Vector2f(0)] * 2, active)[1])
 
     def to_string(self):
         return f'HybridMaps[degree = {self.degree}]'
@@ -183,6 +179,36 @@ def sh_color(coefficients, direction, degree):
     for k, basis in enumerate(dr.sh_eval(direction, degree)):
         color += basis * mi.Color3f(coefficients[3 * k], coefficients[3 * k + 1], coefficients[3 * k + 2])
     return dr.maximum(color, 0)
+
+
+def last_line(error):
+    """Of what Mitsuba says of an error, in many lines, the one that names it."""
+    return str(error).strip().splitlines()[-1].strip().removeprefix('RuntimeError: ')
+
+
+def gradients(shape, si, active):
+    """Gradients of u and of v along the surface that is met, and its normal."""
+    edge, other, step, other_step = si.dp_du, si.dp_dv, mi.Vector2f(1, 0), mi.Vector2f(0, 1)
+    if isinstance(shape, mi.Mesh) and shape.has_vertex_texcoords():
+        # Of a triangle without area in UV, as those of a palette of colours are, what Mitsuba gives is an arbitrary basis.
+        corners = shape.face_indices(si.prim_index, active)
+        (p, edge, other), (uv, step, other_step) = (
+            [of(corner, active) for corner in (corners.x, corners.y, corners.z)] for of in (shape.vertex_position, shape.vertex_texcoord)
+        )
+        edge, other, step, other_step = mi.Vector3f(edge - p), mi.Vector3f(other - p), mi.Vector2f(step - uv), mi.Vector2f(other_step - uv)
+    normal = dr.cross(edge, other)
+    inverse = dr.select(dr.norm(normal) > 0, dr.rcp(dr.norm(normal)), 0)
+    normal *= inverse
+    # gradient · edge = step, gradient · other = other_step, gradient · normal = 0
+    a, b = dr.cross(other, normal) * inverse, dr.cross(normal, edge) * inverse
+    return step.x * a + other_step.x * b, step.y * a + other_step.y * b, normal
+
+
+def uv_change(si, direction, step, gradient_u, gradient_v, normal):
+    """Change of UV where the surface is met, per `step` of the ray's direction; `si.t` is along `direction`, from the camera."""
+    move = si.t * (step - direction * (dr.dot(normal, step) / dr.dot(normal, direction)))
+    change = mi.Vector2f(dr.dot(gradient_u, move), dr.dot(gradient_v, move))
+    return dr.select(dr.isfinite(change), change, 0)
 
 
 class HybridPinhole(mi.Sensor):
@@ -390,15 +416,18 @@ class HybridRF(mi.SamplingIntegrator):
 
     def surface(self, si, direction, active):
         """Of the mesh that is met at `si`: opacity and colour."""
-        pixel = [mi.Vector3f(step) for step in self.pixel] if self.pixel else None
+        duv = [mi.Vector2f(0)] * 2
+        if self.pixel:
+            plane = dr.dispatch(si.shape, gradients, si, active)
+            duv = [uv_change(si, direction, mi.Vector3f(step), *plane) for step in self.pixel]
 
-        def of(bsdf, si, direction, active):
+        def of(bsdf, si, direction, duv, active):
             if not isinstance(bsdf, HybridMaps):
                 return mi.Float(0), mi.Color3f(0)
-            color, alpha = bsdf.radiance(si, direction, pixel, active)
+            color, alpha = bsdf.radiance(si, direction, duv, active)
             return alpha, color
 
-        return dr.dispatch(si.bsdf(), of, si, direction, active)
+        return dr.dispatch(si.bsdf(), of, si, direction, duv, active)
 
     @dr.syntax
     def trace(self, scene, ray, slots, active=True):
@@ -534,13 +563,25 @@ def camera_index(labels, text):
     if not labels:
         # As `centaur convert` has noted.
         raise LookupError('there are no cameras: add a <sensor> to render images')
-    if text in labels:
-        return labels.index(text)
+    # In the .xml, `_` is in the place of what XML forbids and of `$`, which begins a parameter of Mitsuba.
+    for name in (text, re.sub('[$\x00-\x1f\x7f-\x9f\ufffe\uffff]', '_', text)):
+        if name in labels:
+            return labels.index(name)
     if text.isdecimal() and len(text) < 10 and int(text) < len(labels):
         return int(text)
     some = ', '.join(f'{i} ({label})' for i, label in enumerate(labels[:8]))
     rest = f', … to {len(labels) - 1}' if len(labels) > 8 else ''
     raise LookupError(f'no camera `{text}`; there are {some}{rest}')
+
+
+def files_of(document):
+    """The files that an .xml refers to; none where it cannot be read, which Mitsuba says."""
+    try:
+        strings = ElementTree.parse(document).iter('string')
+    except (OSError, ElementTree.ParseError):
+        return []
+    is_file = re.compile(r'filename|map_\d\d').fullmatch
+    return [document.parent / string.get('value', '') for string in strings if is_file(string.get('name', ''))]
 
 
 def main(arguments):
@@ -551,11 +592,14 @@ def main(arguments):
         sys.exit(f'hybrid_rf.py: {out}: expected a name that ends in .exr')
     if not out.absolute().parent.is_dir():
         sys.exit(f'hybrid_rf.py: {out}: cannot write: {out.absolute().parent} is no folder')
+    if out.exists() and any(file.exists() and file.samefile(out) for file in files_of(arguments.scene)):
+        sys.exit(f'hybrid_rf.py: {out}: cannot write: {arguments.scene} refers to a file of this name')
     register()
     try:
-        scene = mi.load_file(str(arguments.scene))
+        # In a thread of Mitsuba's, an error of a plug-in of ours would end the process.
+        scene = mi.load_file(str(arguments.scene), parallel=False)
     except RuntimeError as error:
-        sys.exit(f'hybrid_rf.py: {arguments.scene}: {str(error).strip().splitlines()[-1].strip()}')
+        sys.exit(f'hybrid_rf.py: {arguments.scene}: {last_line(error)}')
     sensors = scene.sensors()
     try:
         index = camera_index([getattr(sensor, 'label', '') for sensor in sensors], arguments.camera)
@@ -574,7 +618,7 @@ def main(arguments):
         staged.replace(out)
     except (OSError, RuntimeError) as error:
         staged.unlink(missing_ok=True)
-        sys.exit(f'hybrid_rf.py: {out}: cannot write: {str(error).strip().splitlines()[-1].strip()}')
+        sys.exit(f'hybrid_rf.py: {out}: cannot write: {last_line(error)}')
 
 
 if __name__ == '__main__':

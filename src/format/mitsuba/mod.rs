@@ -80,7 +80,9 @@ fn is_hybrid(scene: &HybridScene) -> bool {
 fn hybrid_notes(scene: &HybridScene, cameras: &[(String, Camera)]) -> Vec<String> {
     let mut notes = vec![];
     if !scene.splats.is_empty() {
-        notes.push("Mitsuba shows the image model `ray`; training used `ewa`".to_owned());
+        notes.push(
+            "Mitsuba shows the image model `ray`; Centaur trains with `ewa`, and renders with it by default".to_owned(),
+        );
     }
     if is_hybrid(scene) && scene.composition.mode != OrderMode::Direct {
         let mode = scene.composition.mode.name();
