@@ -202,11 +202,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     }
     if edited.scene.splats.is_empty() && edited.scene.meshes.is_empty() {
         bar.finish_and_clear();
-        let is_removed = !edited.steps.is_empty();
-        if !is_removed {
-            // They say what was left out, and are otherwise printed with the output, which does not exist here.
-            print_notes(&inputs);
-        }
+        // They say what was left out, and are otherwise printed with the output, which does not exist here.
+        print_notes(&inputs);
+        let is_removed = edited.steps.iter().any(|step| step.removed_splats > 0 || step.removed_triangles > 0);
         let why = if is_removed { " after removing" } else { "" };
         bail!("{}: expected something to write, found no splats and no meshes{why}", files.output.display());
     }

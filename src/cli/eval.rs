@@ -294,18 +294,30 @@ struct Pages {
     staging: Staging,
     /// Each file, and its place.
     files: Vec<(PathBuf, PathBuf)>,
+    /// Files that are to replace those to which links lead wait there: these may be in another file system.
+    elsewhere: Vec<Staging>,
 }
 
 impl Pages {
     fn within(folder: &Path) -> Result<Self> {
         let staging = Staging::within(folder).with_context(|| format!("{}: cannot write", folder.display()))?;
-        Ok(Self { staging, files: vec![] })
+        Ok(Self { staging, files: vec![], elsewhere: vec![] })
     }
 
     /// Writes a file that comes to be at `place`.
     fn write(&mut self, place: &Path, bytes: &[u8]) -> Result<()> {
-        let place = atomic::place_of(place).with_context(|| format!("{}: cannot replace", place.display()))?;
-        let file = self.staging.path().join(self.files.len().to_string());
+        let named = || format!("{}: cannot replace", place.display());
+        let end = atomic::place_of(place).with_context(named)?;
+        let number = self.files.len().to_string();
+        let file = if place.is_symlink() {
+            let staging = Staging::within(atomic::folder_of(&end)).with_context(named)?;
+            let file = staging.path().join(number);
+            self.elsewhere.push(staging);
+            file
+        } else {
+            self.staging.path().join(number)
+        };
+        let place = end;
         atomic_write(&file, bytes).map_err(|error| match error {
             FormatError::Write { source, .. } => FormatError::Write { file: place.clone(), source },
             other => other,

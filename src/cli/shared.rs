@@ -438,10 +438,10 @@ fn resized(mut file: CameraFile, sampling: &Sampling<'_>, options: &LoadOptions)
 #[derive(Clone, clap::Args)]
 #[command(next_help_heading = "Messages")]
 pub(super) struct MessageArgs {
-    /// Show no progress: no bar, and no JSON lines on stderr
+    /// Show no progress: no bar, and no JSON lines of it on stderr
     #[arg(short, long)]
     pub(super) quiet: bool,
-    /// Print one JSON object on stdout at the end; any progress becomes JSON lines on stderr
+    /// Print one JSON object on stdout at the end; progress, and notes on the way, become JSON lines on stderr
     #[arg(long)]
     pub(super) json: bool,
 }

@@ -127,8 +127,10 @@ fn train(
         stop,
         progress: &mut |event| match event {
             Event::Progress(progress) => reporter.update(progress),
-            Event::Unsaved(error) => {
-                let note = format!("{error}: no checkpoint is saved; the training goes on, and tries again");
+            Event::Unsaved { error, is_last } => {
+                let then =
+                    if is_last { "the scene is written all the same" } else { "the training goes on, and tries again" };
+                let note = format!("{error}: no checkpoint is saved; {then}");
                 reporter.say(&note, args.messages.json);
                 told.push(note);
             }

@@ -20,7 +20,8 @@ pub(crate) fn gaps(triangles: &[[u32; 3]], selected: &[bool], most: usize) -> Ve
         while let Some(&face) = group.get(next) {
             next += 1;
             for edge in edges(&triangles[face]) {
-                let faces = &sharing[&edge];
+                // Whoever is beside it joins this group now.
+                let Some(faces) = sharing.remove(&edge) else { continue };
                 is_open |= faces.len() == 1;
                 is_beside |= faces.iter().any(|&face| selected[face]);
                 group.extend(faces.iter().filter(|&&face| !std::mem::replace(&mut seen[face], true)));

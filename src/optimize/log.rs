@@ -29,7 +29,12 @@ pub enum Event<'a> {
     /// A progress report.
     Progress(&'a Progress),
     /// A checkpoint could not be written, for the first time in this run, which goes on.
-    Unsaved(&'a CheckpointError),
+    Unsaved {
+        /// Why not.
+        error: &'a CheckpointError,
+        /// Whether it is that after the last iteration, with which the scene is written all the same.
+        is_last: bool,
+    },
 }
 
 /// Counts of the triangles of a surface made from the capture, by the verdict of held-back training views. The others

@@ -188,6 +188,10 @@ fn where_nothing_is_left_all_notes_say_what_was_left_out() {
     assert_eq!(error, "error: b.glb: expected something to write, found no splats and no meshes");
     assert!(notes.contains("note: copies.usda: 1 prim of type PointInstancer left out, with all below"), "{notes}");
     assert!(output.status.code() == Some(1) && notes.lines().all(|line| line.starts_with("note: ")), "{notes}");
+    // Nor do steps change that, if they remove nothing.
+    let command = ["convert", "copies.usda", "b.glb", "--no-mesh"];
+    let output = common::centaur(folder.path()).args(command).output().unwrap();
+    assert_eq!(stderr(&output), said);
 }
 
 #[test]

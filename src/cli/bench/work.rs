@@ -185,7 +185,10 @@ fn train(job: &Job, at_a_time: usize, stop: &AtomicBool, args: &Args) -> Result<
     if !output.status.success() {
         let messages = if cfg!(unix) { std::fs::read(&path).unwrap_or_default() } else { output.stderr };
         let messages = String::from_utf8_lossy(&messages);
-        let mut lines = messages.lines().filter(|line| !line.trim().is_empty() && !line.starts_with(AT_A_TIME));
+        // Notes on the way are no reason.
+        let is_other =
+            |line: &str| line.trim().is_empty() || line.starts_with(AT_A_TIME) || line.starts_with(r#"{"note":"#);
+        let mut lines = messages.lines().filter(|line| !is_other(line));
         let last = lines.next_back().unwrap_or("no message").trim_start_matches("error: ");
         let advice = if is_begun { advice(last, &job.checkpoint()) } else { "" };
         bail!("{last}{advice} ({})", output.status);

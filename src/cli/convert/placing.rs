@@ -66,11 +66,11 @@ pub(super) fn place(staging: &Staging, output: &Path, place: &Path, inputs: &[Pa
         .map_err(|(file, error)| anyhow::Error::from(error).context(format!("{}: cannot write", file.display())))?;
     let note =
         |other: Sharing| format!("{} uses files that were replaced: convert it again, too", other.path.display());
-    Ok(shown.into_iter().map(note).chain(former.iter().map(|file| removed(file))).collect())
+    Ok(shown.into_iter().map(note).chain(former.iter().map(|file| left_over(file))).collect())
 }
 
 /// Companions of the former version of `output` that the new one lacks, unless they are inputs or another export may
-/// use them.
+/// use them by its name.
 fn only_of_former(output: &Path, beside: &Path, companions: &[Companion], inputs: &[PathBuf]) -> Vec<PathBuf> {
     if !format::sharing(beside, IGNORES_CASE).is_ok_and(|others| others.is_empty()) {
         return vec![];
@@ -83,13 +83,9 @@ fn only_of_former(output: &Path, beside: &Path, companions: &[Companion], inputs
     former.filter(|path| path.is_file() && !is_kept(path)).collect()
 }
 
-/// Removes a file that only a replaced export used; returns a note.
-fn removed(file: &Path) -> String {
-    let file_is = format!("{}, which only the replaced export used, is", file.display());
-    match std::fs::remove_file(file) {
-        Ok(()) => format!("{file_is} removed"),
-        Err(error) => format!("{file_is} still there, since it cannot be removed: {error}"),
-    }
+/// Note on a file of a replaced export. It stays, since copies of that export may use it, or it may be the user's.
+fn left_over(file: &Path) -> String {
+    format!("{}: was used by the replaced export, and is not by this one", file.display())
 }
 
 /// Rejects an output that belongs to others: a file that an export beside it uses, or points of a capture.

@@ -20,7 +20,7 @@ def read_files(folder):
             maps = [load_map(at(name), images) for name in files["maps"]]
             surfaces.append((read_ply(at(files["surface"])), maps))
         return splats, surfaces, read_motion(folder)
-    except ScriptError:
+    except BaseException:
         bpy.data.batch_remove(images)
         raise
 
@@ -258,13 +258,18 @@ def is_built():
     return find_root()[0] is not None and find_root()[1].get("scene") == SCENE["name"]
 
 
-def remove_former():
-    """Takes away what this script has built here before; refuses to build beside another's, whose handlers would not know which to follow."""
+def spare_other():
+    """Refuses to build beside another script's scene: handlers would not know which to follow."""
     root, settings = find_root()
+    if root is not None and not is_built():
+        raise ScriptError(f"this file holds `{settings.get('scene', root.name)}` already: expected a file without, or delete its collection")
+
+
+def remove_former():
+    """Takes away what this script has built here before."""
+    root, _ = find_root()
     if root is None:
         return
-    if not is_built():
-        raise ScriptError(f"this file holds `{settings.get('scene', root.name)}` already: expected a file without, or delete its collection")
     collections = list(root.users_collection)
     removed, count, users = {*root.children_recursive, root}, 0, bpy.data.user_map()
     # Meshes, materials, images, actions: what nothing else uses.

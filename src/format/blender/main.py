@@ -266,12 +266,16 @@ def run(options):
     check(options)
     if bpy.app.background and not bpy.data.filepath:
         bpy.ops.wm.read_factory_settings(use_empty=True)
+    spare_other()
     files = read_files(home())
-    remove_former()
+    names = [image.name for _, maps in files[1] for image in maps]
     try:
+        remove_former()
         build(files, options)
     except BaseException:
         remove_former()
+        left = [bpy.data.images.get(name) for name in names]
+        bpy.data.batch_remove([image for image in left if image and not image.users])
         raise
     root, settings = find_root()
     settle(settings["decode"])

@@ -35,6 +35,9 @@ const SETS: &str = "variantSets";
 const MAX_RATIO: usize = 256;
 const ALWAYS: usize = 1 << 27;
 
+/// Bytes of prims allowed for a layer, if it does not have a quarter of them itself.
+const MOST: usize = 1 << 31;
+
 /// Bytes of a node with its path, its arc and room for nodes below it.
 const NODE: usize = 8 * size_of::<Node<'_>>();
 
@@ -239,12 +242,17 @@ impl<'a> Node<'a> {
     fn next_variant(&self, chosen: &HashMap<&'a str, &'a str>) -> Option<&'a Variant> {
         let prim = self.prim?;
         let names = field(&prim.metadata, SETS).map_or(&[][..], items);
-        let place = |set: &str| names.iter().position(|name| name.as_text() == Some(set)).unwrap_or(names.len());
+        let known: HashSet<&str> = self.sets.iter().copied().collect();
+        let mut places = HashMap::new();
+        for (place, name) in names.iter().filter_map(Value::as_text).enumerate() {
+            places.entry(name).or_insert(place);
+        }
         let is_next = |variant: &&Variant| {
             let set = variant.set.as_str();
-            chosen.get(set) == Some(&variant.name.as_str()) && !self.sets.contains(&set)
+            chosen.get(set) == Some(&variant.name.as_str()) && !known.contains(set)
         };
-        prim.variants.iter().filter(is_next).min_by_key(|variant| place(variant.set.as_str()))
+        let place = |variant: &&Variant| places.get(variant.set.as_str()).copied().unwrap_or(names.len());
+        prim.variants.iter().filter(is_next).min_by_key(place)
     }
 }
 
@@ -316,13 +324,29 @@ impl Opinion<'_, '_> {
         Some(Targets { edit: *edit, paths: paths.iter().map(|path| self.moved(path)).collect() })
     }
 
-    /// Adds to a property, of which stronger opinions said the rest, what this one says.
+    /// Puts the targets that this opinion states over those of all weaker ones: edits of lists are no list until the
+    /// weakest has been read.
+    fn put_targets(&self, property: &mut Property, stated: &Property) {
+        let (weaker, own) = match (&mut property.kind, &stated.kind) {
+            (PropertyKind::Attribute { connections, .. }, PropertyKind::Attribute { connections: own, .. }) => {
+                (connections, own)
+            }
+            (PropertyKind::Relationship { targets }, PropertyKind::Relationship { targets: own }) => (targets, own),
+            _ => return,
+        };
+        *weaker = match (self.targets(own.as_ref()), weaker.take()) {
+            (Some(own), Some(weaker)) => Some(own.over(weaker)),
+            (own, weaker) => own.or(weaker),
+        };
+    }
+
+    /// Adds to a property, of which stronger opinions said the rest, what this one says, but for targets.
     fn add_to(&self, property: &mut Property, stated: &Property) {
         let is_animated = property.has_spline();
         let has_value = match (&mut property.kind, &stated.kind) {
             (
-                PropertyKind::Attribute { value, samples, connections, .. },
-                PropertyKind::Attribute { value: weaker, samples: weaker_samples, connections: sources, .. },
+                PropertyKind::Attribute { value, samples, .. },
+                PropertyKind::Attribute { value: weaker, samples: weaker_samples, .. },
             ) => {
                 // Samples and default are one opinion.
                 let has_value = value.is_some() || !samples.is_empty() || is_animated;
@@ -330,13 +354,9 @@ impl Opinion<'_, '_> {
                     value.clone_from(weaker);
                     samples.clone_from(weaker_samples);
                 }
-                join(connections, self.targets(sources.as_ref()));
                 has_value
             }
-            (PropertyKind::Relationship { targets }, PropertyKind::Relationship { targets: weaker }) => {
-                join(targets, self.targets(weaker.as_ref()));
-                false
-            }
+            (PropertyKind::Relationship { .. }, PropertyKind::Relationship { .. }) => false,
             // An attribute and a relationship of one name: the stronger stays.
             _ => return,
         };
@@ -346,14 +366,6 @@ impl Opinion<'_, '_> {
         let fields: Vec<Field> = stated.metadata.iter().filter(is_new).cloned().collect();
         property.metadata.extend(fields);
     }
-}
-
-/// Joins targets with those of a weaker opinion.
-fn join(targets: &mut Option<Targets>, weaker: Option<Targets>) {
-    *targets = match (targets.take(), weaker) {
-        (Some(own), Some(weaker)) => Some(own.over(weaker)),
-        (own, weaker) => own.or(weaker),
-    };
 }
 
 /// Property of this name and kind of which nothing is known yet.
@@ -396,7 +408,7 @@ impl<'a> Composer<'a> {
             prims.extend(prim.variants.iter().map(|variant| &variant.content));
         }
         let default = layer.field("defaultPrim").and_then(Value::as_text);
-        let most = ALWAYS.saturating_add(MAX_RATIO.saturating_mul(bytes));
+        let most = ALWAYS.saturating_add(MAX_RATIO.saturating_mul(bytes)).min(MOST.max(bytes.saturating_mul(4)));
         Self {
             children,
             default: default.map_or_else(Vec::new, |path| resolved(&[], path)),
@@ -558,7 +570,8 @@ impl<'a> Composer<'a> {
         while node.has_variants() {
             let mut chosen = HashMap::new();
             let count = node.selections(&mut chosen);
-            self.spend(count * size_of::<Node<'_>>(), &node.path)?;
+            // All are looked at again for each that is added.
+            self.spend(count * size_of::<Node<'_>>() + chosen.len() * NODE, &node.path)?;
             if !self.add_variant(node, &chosen, &mut vec![])? {
                 break;
             }
@@ -574,6 +587,7 @@ impl<'a> Composer<'a> {
         chain: &mut Vec<PrimPath<'a>>,
     ) -> Result<bool, Fault> {
         chain.push(node.path.clone());
+        self.nesting += 1;
         let mut is_added = false;
         if let Some(Variant { set, content, .. }) = node.next_variant(chosen) {
             node.sets.push(set);
@@ -586,6 +600,7 @@ impl<'a> Composer<'a> {
         for inner in &mut node.nodes {
             is_added = is_added || self.add_variant(inner, chosen, chain)?;
         }
+        self.nesting -= 1;
         chain.pop();
         Ok(is_added)
     }
@@ -614,6 +629,13 @@ impl<'a> Composer<'a> {
             prim.metadata.extend(fields.into_iter().cloned());
             let arcs = arcs(opinion.prim, &opinion.node.path, &self.default);
             outward.extend(arcs.into_iter().filter(|(_, target)| target.is_none()).map(|(kind, _)| kind));
+        }
+        for opinion in opinions.iter().rev() {
+            for stated in &opinion.prim.properties {
+                if let Some(&place) = places.get(stated.name.as_str()) {
+                    opinion.put_targets(&mut prim.properties[place], stated);
+                }
+            }
         }
         let left = ARCS.into_iter().filter(|(_, kind)| outward.contains(kind));
         prim.metadata.extend(left.map(|(name, _)| Field {

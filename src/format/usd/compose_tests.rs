@@ -122,6 +122,36 @@ def "C" {}
 }
 
 #[test]
+fn edits_of_targets_go_down_to_the_weakest_opinion() {
+    let (layer, _) = composed_text(
+        r#"
+class "A" { rel r = [</Red>, </Blue>, </Green>] }
+class "B" ( inherits = </A> ) { delete rel r = </Blue> }
+def "P" ( inherits = </B> ) { delete rel r = </Red> }
+def "Q" ( inherits = </B> ) { prepend rel r = </Gray> }
+"#,
+    );
+    assert_eq!(["/P", "/Q"].map(|prim| target(&layer, prim, "r").unwrap()), ["/Green", "/Gray"]);
+}
+
+/// Each is as deep as the arcs before it.
+#[test]
+fn arcs_in_variants_do_not_nest_without_end() {
+    let chain = |i: usize| {
+        let next = i + 1;
+        format!(
+            r#"def "P{i}" ( variants = {{ string v = "a" }} prepend variantSets = "v" ) {{
+    variantSet "v" = {{ "a" ( references = </P{next}> ) {{}} }}
+}}
+"#
+        )
+    };
+    let text = format!("#usda 1.0\n{}def \"P900\" {{}}\n", (0..900).map(chain).collect::<String>());
+    let fault = composed(text.into_bytes()).map(|_| ()).unwrap_err().in_file(Path::new("f")).to_string();
+    assert!(fault.contains("by repeated use"), "{fault}");
+}
+
+#[test]
 fn selected_variants_are_read() {
     let read = |selection: &str| {
         read_text(&format!(

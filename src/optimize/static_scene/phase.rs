@@ -143,7 +143,7 @@ impl Run<'_> {
                     Err(error) if stop && !is_last => return Err(error.into()),
                     // There may be room for a later one, or for the scene.
                     Err(error) if !std::mem::replace(&mut self.log.told_unsaved, true) => {
-                        (self.session.progress)(Event::Unsaved(&error));
+                        (self.session.progress)(Event::Unsaved { error: &error, is_last });
                     }
                     Err(_) | Ok(()) => {}
                 }

@@ -25,8 +25,8 @@ const MAPS_SHARE: f64 = 0.5;
 const MOST_FOR_MAPS: f64 = 0.18;
 /// Least size of a connected piece, pixels: below some 16×16 a chart's gutter costs more than the chart holds.
 const LEAST_PIXELS: f64 = 256.0;
-/// Most triangles of a gap that is kept with what is around it: through gaps smaller than a splat the background would
-/// show.
+/// Most triangles of a gap that is kept with what is around it: most such are smaller than pixels, and the background
+/// would show through them where no splat grew.
 const MOST_OF_GAP: usize = 6;
 /// Assumed fraction of an atlas that charts cover, for choosing its size.
 const COVERAGE: f64 = 0.6;

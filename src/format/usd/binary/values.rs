@@ -18,6 +18,9 @@ const MIN_COMPRESSED: usize = 16;
 /// Bytes of a reference but for its dictionary: indices of a string and of a path, offset and scale of time.
 const REFERENCE: usize = 24;
 
+/// Most entries of a dictionary that is skipped; real ones have few.
+const MOST_SKIPPED: usize = 1000;
+
 /// Value representation: 1 bit each for array, inlined and compressed, 8 bits of type, 48 bits of content or of its
 /// offset.
 #[derive(Clone, Copy)]
@@ -312,8 +315,16 @@ fn reference(cursor: &mut Cursor<'_>) -> Result<[u32; 2], Fault> {
 
 /// Skips a dictionary that is part of another value.
 fn skip_dictionary(cursor: &mut Cursor<'_>) -> Result<(), Fault> {
-    // Each entry is an index and an offset, which leads to a value and on to the next entry.
-    for _ in 0..cursor.count(20)? {
+    // Each entry is an index and an offset, which leads to a value and on to the next entry, where the file says: it may
+    // lead back, so that the file's length bounds nothing.
+    let count = cursor.count(20)?;
+    if count > MOST_SKIPPED {
+        return Err(Fault::whole(
+            format!("dictionaries of at most {MOST_SKIPPED} entries in references"),
+            count.to_string(),
+        ));
+    }
+    for _ in 0..count {
         cursor.take(4)?;
         cursor.follow()?;
         cursor.take(8)?;

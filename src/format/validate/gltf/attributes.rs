@@ -6,7 +6,7 @@ use serde_json::{Map, Value};
 
 use super::super::{Findings, Offenders};
 use super::accessors::check_bounds;
-use super::document::{Component, Document, Elements, components};
+use super::document::{Component, Document, Elements, layout};
 use super::scenes::{UNIT_TOLERANCE, check_unit};
 use super::schema::escaped;
 use super::{index, items, primitives};
@@ -145,10 +145,9 @@ fn check_values(
             check_tangents(&tangents, &format!("{at}/TANGENT"), findings);
         }
     }
-    for name in attributes.keys().filter(|name| numbered(name).is_some_and(|(base, _)| base == "COLOR")) {
-        if let Some(colors) = elements(name).filter(|colors| colors.kind == Component::Float) {
-            check_colors(&colors, &format!("{at}/{name}"), findings);
-        }
+    // What others mean is up to applications.
+    if let Some(colors) = elements("COLOR_0").filter(|colors| colors.kind == Component::Float) {
+        check_colors(&colors, &format!("{at}/COLOR_0"), findings);
     }
 }
 
@@ -191,10 +190,10 @@ fn check_colors(colors: &Elements<'_>, at: &str, findings: &mut Findings) {
 /// Checks that every element of a vertex attribute begins at a multiple of 4 bytes of its view (glTF 2.0, 3.6.2.4).
 fn check_alignment(document: &Document<'_>, accessor: &Value, place: impl Fn() -> String, findings: &mut Findings) {
     let kind = accessor.get("componentType").and_then(Value::as_u64).and_then(Component::of);
-    let components = accessor.get("type").and_then(Value::as_str).and_then(components);
+    let size = accessor.get("type").and_then(Value::as_str).zip(kind).and_then(|(shape, kind)| layout(shape, kind));
     let view = index(accessor, "bufferView").and_then(|view| document.object("bufferViews", view));
-    let (Some(kind), Some(components), Some(view)) = (kind, components, view) else { return };
-    let stride = index(view, "byteStride").unwrap_or(components * kind.size());
+    let (Some((size, _)), Some(view)) = (size, view) else { return };
+    let stride = index(view, "byteStride").unwrap_or(size);
     let offset = index(accessor, "byteOffset").unwrap_or(0);
     if !stride.is_multiple_of(4) || !offset.is_multiple_of(4) {
         let expected = "elements that begin at multiples of 4 bytes of the view";

@@ -195,7 +195,7 @@ pub(super) fn components(kind: &str) -> Option<usize> {
 }
 
 /// Size of an element in bytes, and its columns if they are padded: each begins at a multiple of 4 (glTF 2.0, 3.6.2.4).
-fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usize)>)> {
+pub(super) fn layout(kind: &str, component: Component) -> Option<(usize, Option<(usize, usize)>)> {
     let rows = match kind {
         "MAT2" => 2,
         "MAT3" => 3,
@@ -401,7 +401,8 @@ impl<'a> Document<'a> {
 fn check_media_type(buffer: &Value, at: &str, findings: &mut Findings) {
     let data = buffer.get("uri").and_then(Value::as_str).and_then(|uri| uri.strip_prefix("data:"));
     let Some(found) = data.and_then(|data| data.split([';', ',']).next()) else { return };
-    if !["application/octet-stream", "application/gltf-buffer"].contains(&found) {
+    let known = ["application/octet-stream", "application/gltf-buffer"];
+    if !known.iter().any(|known| known.eq_ignore_ascii_case(found)) {
         let expected = "application/octet-stream or application/gltf-buffer";
         findings.error("BUFFER_TYPE", format!("{at}/uri"), expected, shown(found.as_bytes()));
     }

@@ -1,6 +1,6 @@
 //! Validation of skins: joints and their matrices, and the joints and weights of vertices.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use serde_json::Value;
 
@@ -10,8 +10,8 @@ use super::scenes::children;
 use super::{index, items, objects, primitives};
 use crate::format::gltf::json::indices;
 
-/// Largest deviation of a vertex's sum of weights from 1, for each weight other than 0: that of Khronos' validator, and
-/// of the specification (glTF 2.0, 3.7.3.3). For integers it is less than a step.
+/// Largest deviation of a vertex's sum of weights from 1, for each weight other than 0: that of Khronos' validator (glTF
+/// 2.0, 3.7.3.3). For integers it is less than a step.
 const WEIGHT_TOLERANCE: f64 = 2e-7;
 
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
@@ -55,11 +55,11 @@ fn check_nodes(document: &Document<'_>, findings: &mut Findings) {
     let bound: Vec<bool> =
         objects(root, "meshes", "").map(|(at, mesh)| objects(mesh, "primitives", &at).any(is_bound)).collect();
     // Every pair of mesh and skin is checked once, regardless of the number of its nodes.
-    let mut checked = HashSet::new();
+    let (mut checked, mut largest) = (HashSet::new(), HashMap::new());
     for (at, node) in objects(root, "nodes", "") {
         let mesh = index(node, "mesh");
         if let Some(pair) = mesh.zip(index(node, "skin")).filter(|pair| checked.insert(*pair)) {
-            check_bound(document, pair, &at, findings);
+            check_bound(document, pair, &at, &mut largest, findings);
         }
         if node.get("skin").is_none() && mesh.is_some_and(|mesh| bound.get(mesh) == Some(&true)) {
             findings.warning("NODE_SKIN", at, "a skin beside a mesh with JOINTS_0", "none");
@@ -70,19 +70,35 @@ fn check_nodes(document: &Document<'_>, findings: &mut Findings) {
     }
 }
 
-/// Checks the joints and weights of the mesh of a node with a skin.
-fn check_bound(document: &Document<'_>, (i, skin): (usize, usize), at: &str, findings: &mut Findings) {
+/// Checks the joints and weights of the mesh of a node with a skin. `largest` holds the largest joint of each primitive
+/// of the meshes seen before.
+fn check_bound(
+    document: &Document<'_>,
+    (i, skin): (usize, usize),
+    at: &str,
+    largest: &mut HashMap<usize, Vec<f64>>,
+    findings: &mut Findings,
+) {
     let (Some(mesh), Some(skin)) = (document.object("meshes", i), document.object("skins", skin)) else { return };
     let joints = items(skin, "joints").len();
-    for (place, primitive) in objects(mesh, "primitives", &format!("/meshes/{i}")) {
-        let influences = Influences::of(document, primitive);
+    let above = format!("/meshes/{i}");
+    let of_mesh =
+        || objects(mesh, "primitives", &above).map(|(at, object)| (at, Influences::of(document, object), object));
+    let largest = largest.entry(i).or_insert_with(|| of_mesh().map(|(_, all, _)| all.largest_joint()).collect());
+    for ((place, influences, primitive), largest) in of_mesh().zip(largest) {
         if influences.sets.is_empty() {
-            let found = format!("no such pair, and the skin of {at}");
-            findings.error("SKIN_WEIGHTS", place, "JOINTS_0 and WEIGHTS_0", found);
+            // Those that are there but cannot be read have findings of their own, or are compressed.
+            let has = |name: &str| primitive.get("attributes").is_some_and(|all| all.get(name).is_some());
+            if !(has("JOINTS_0") && has("WEIGHTS_0")) {
+                let found = format!("no such pair, and the skin of {at}");
+                findings.error("SKIN_WEIGHTS", place, "JOINTS_0 and WEIGHTS_0", found);
+            }
             continue;
         }
         let mut beyond = Offenders::default();
-        for v in 0..influences.vertices {
+        // One mesh may have many skins.
+        let vertices = if *largest < joints as f64 { 0 } else { influences.vertices };
+        for v in 0..vertices {
             // Indices of joints with zero weight need not be valid.
             if let Some((joint, _)) = influences.of_vertex(v).find(|&(joint, _)| joint >= joints as f64) {
                 beyond.note(|| format!("{joint} at vertex {v}"));
@@ -121,11 +137,19 @@ fn check_weights(document: &Document<'_>, primitive: &Value, at: &str, findings:
     }
     for (code, name, offenders, expected) in [
         ("SKIN_WEIGHTS", "WEIGHTS_0", negative, "weights from 0"),
-        ("SKIN_WEIGHTS", "WEIGHTS_0", uneven, "weights that add up to 1"),
         ("SKIN_JOINTS", "JOINTS_0", twice, "every joint with a weight once per vertex"),
     ] {
         if let Some(found) = offenders.summary(influences.vertices) {
             findings.error(code, format!("{at}/{name}"), expected, found);
+        }
+    }
+    if let Some(found) = uneven.summary(influences.vertices) {
+        let (at, expected) = (format!("{at}/WEIGHTS_0"), "weights that add up to 1");
+        // Sums of integers must be exact, those of floats should be near.
+        if influences.sets.iter().all(|(_, weights)| weights.kind == Component::Float) {
+            findings.warning("SKIN_WEIGHTS", at, expected, found);
+        } else {
+            findings.error("SKIN_WEIGHTS", at, expected, found);
         }
     }
 }
@@ -146,6 +170,11 @@ impl<'a> Influences<'a> {
         let counts = sets.iter().map(|(joints, weights)| joints.count.min(weights.count));
         let vertices = counts.min().unwrap_or_default();
         Self { sets, vertices }
+    }
+
+    /// Largest joint of any vertex, at least 0.
+    fn largest_joint(&self) -> f64 {
+        (0..self.vertices).flat_map(|v| self.of_vertex(v)).map(|(joint, _)| joint).fold(0.0, f64::max)
     }
 
     /// Joints of a vertex, each with its weight; those of weight 0 do not count.
@@ -215,13 +244,15 @@ fn check_joints(root: &Value, findings: &mut Findings) {
             findings.error("SKIN_SKELETON", format!("{at}/skeleton"), expected, found);
         }
     }
+    let scenes: Vec<(String, HashSet<u64>)> =
+        objects(root, "scenes", "").map(|(at, scene)| (at, indices(scene, "nodes").collect())).collect();
     let mut checked = HashSet::new();
     for ((at, node), place) in objects(root, "nodes", "").zip(&places) {
         let joints = index(node, "skin").and_then(|skin| *tops.get(skin)?);
         let pair = place.map(|place| place.top).zip(joints);
         let Some((own, joints)) = pair.filter(|pair| pair.0 != pair.1 && checked.insert(*pair)) else { continue };
-        for (scene, object) in objects(root, "scenes", "") {
-            let has = |node: usize| indices(object, "nodes").any(|other| other == node as u64);
+        for (scene, nodes) in &scenes {
+            let has = |node: usize| nodes.contains(&(node as u64));
             if has(own) && !has(joints) {
                 let expected = format!("joints in {scene}, as the node is");
                 findings.error("SKIN_SCENE", format!("{at}/skin"), expected, format!("others, below node {joints}"));

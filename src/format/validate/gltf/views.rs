@@ -10,13 +10,17 @@ use super::{index, items, objects, primitives};
 
 const ATTRIBUTES: &str = "vertex attributes";
 const INDICES: &str = "vertex indices";
+const KEYS: &str = "keys of animations";
+const SPARSE: &str = "sparse elements";
 
 /// Checks that views hold one kind of data, and that `target` and `byteStride` suit it.
 pub(super) fn check(document: &Document<'_>, findings: &mut Findings) {
     for (view, held) in kinds(document) {
         let Some(object) = document.object("bufferViews", view) else { continue };
         let (at, found) = (format!("/bufferViews/{view}"), held.iter().copied().collect::<Vec<_>>().join(" and "));
-        if held.len() > 1 {
+        // Only of these does it not matter what else is there.
+        let is_free = |kind: &&str| [KEYS, SPARSE].contains(kind);
+        if held.len() > 1 && !held.iter().all(is_free) {
             findings.error("VIEW_DATA", at, "data of one kind", found);
             continue;
         }
@@ -55,11 +59,11 @@ fn kinds(document: &Document<'_>) -> BTreeMap<usize, BTreeSet<&'static str>> {
     }
     for (at, animation) in objects(root, "animations", "") {
         for (_, sampler) in objects(animation, "samplers", &at) {
-            ["input", "output"].iter().for_each(|key| add(sampler.get(key).and_then(accessor), "keys of animations"));
+            ["input", "output"].iter().for_each(|key| add(sampler.get(key).and_then(accessor), KEYS));
         }
     }
     for sparse in items(root, "accessors").iter().filter_map(|accessor| accessor.get("sparse")) {
-        ["indices", "values"].iter().for_each(|key| add(sparse.get(key), "sparse elements"));
+        ["indices", "values"].iter().for_each(|key| add(sparse.get(key), SPARSE));
     }
     items(root, "images").iter().for_each(|image| add(Some(image), "images"));
     held

@@ -73,7 +73,7 @@ fn a_run_goes_on_without_checkpoints_unless_it_is_stopped() {
             stop: &stop,
             progress: &mut |event| match event {
                 Event::Progress(p) => stop.store(p.iteration == stop_after, Ordering::Relaxed),
-                Event::Unsaved(error) => unsaved.push(error.to_string()),
+                Event::Unsaved { error, .. } => unsaved.push(error.to_string()),
             },
         };
         let options = TrainOptions { iterations, checkpoint_every, ..options() };
