@@ -304,11 +304,11 @@ impl Pages {
         Ok(Self { staging, files: vec![], elsewhere: vec![] })
     }
 
-    /// Writes a file that comes to be at `place`.
+    /// Writes a file that comes to be at `place`, or where a link there leads.
     fn write(&mut self, place: &Path, bytes: &[u8]) -> Result<()> {
         let named = || format!("{}: cannot replace", place.display());
-        let end = atomic::place_of(place).with_context(named)?;
         let number = self.files.len().to_string();
+        let end = atomic::place_of(place).with_context(named)?;
         let file = if place.is_symlink() {
             let staging = Staging::within(atomic::folder_of(&end)).with_context(named)?;
             let file = staging.path().join(number);
@@ -317,12 +317,11 @@ impl Pages {
         } else {
             self.staging.path().join(number)
         };
-        let place = end;
         atomic_write(&file, bytes).map_err(|error| match error {
-            FormatError::Write { source, .. } => FormatError::Write { file: place.clone(), source },
+            FormatError::Write { source, .. } => FormatError::Write { file: end.clone(), source },
             other => other,
         })?;
-        self.files.push((file, place));
+        self.files.push((file, end));
         Ok(())
     }
 

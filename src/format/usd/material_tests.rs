@@ -113,31 +113,37 @@ def "W" (
     );
 }
 
+/// A triangle whose material has this input, and these shaders beside its own.
+fn triangle(uvs: &str, input: &str, shaders: &str) -> String {
+    format!(
+        r#"( metersPerUnit = 1 )
+def Mesh "M" {{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    texCoord2f[] primvars:st = {uvs} ( interpolation = "vertex" )
+    uniform token subdivisionScheme = "none"
+    rel material:binding = </M/M>
+    def Material "M" {{
+        token outputs:surface.connect = <S.outputs:surface>
+        def Shader "S" {{ uniform token info:id = "UsdPreviewSurface" {input} }}
+        {shaders}
+    }}
+}}
+"#
+    )
+}
+
 /// An emission map that is black except for a few lights must not blacken a textured surface; a default grey is
 /// replaced by an emission map.
 #[test]
 fn emission_is_shown_where_there_is_no_picture_of_the_colour() {
     let read_with = |inputs: &str| {
-        let (folder, path) = folder_with(&format!(
-            r#"( metersPerUnit = 1 )
-def Mesh "M" {{
-    int[] faceVertexCounts = [3]
-    int[] faceVertexIndices = [0, 1, 2]
-    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
-    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1)] ( interpolation = "vertex" )
-    uniform token subdivisionScheme = "none"
-    rel material:binding = </M/M>
-    def Material "M" {{
-        token outputs:surface.connect = <S.outputs:surface>
-        def Shader "S" {{
-            uniform token info:id = "UsdPreviewSurface"
-            {inputs}
-        }}
-        def Shader "Red" {{ uniform token info:id = "UsdUVTexture" asset inputs:file = @./red.png@ }}
-        def Shader "Black" {{ uniform token info:id = "UsdUVTexture" asset inputs:file = @./black.png@ }}
-    }}
-}}
-"#
+        let (folder, path) = folder_with(&triangle(
+            "[(0, 0), (1, 0), (0, 1)]",
+            inputs,
+            r#"def Shader "Red" { uniform token info:id = "UsdUVTexture" asset inputs:file = @./red.png@ }
+def Shader "Black" { uniform token info:id = "UsdUVTexture" asset inputs:file = @./black.png@ }"#,
         ));
         for (name, color) in [("red.png", [255, 0, 0]), ("black.png", [0; 3])] {
             image::RgbImage::from_pixel(1, 1, image::Rgb(color)).save(folder.path().join(name)).unwrap();
@@ -161,43 +167,27 @@ def Mesh "M" {{
 #[test]
 fn textures_are_transformed_and_repeat() {
     let scene = |wrap: &str| {
-        format!(
-            r#"( metersPerUnit = 1 )
-def Mesh "M" {{
-    int[] faceVertexCounts = [3]
-    int[] faceVertexIndices = [0, 1, 2]
-    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
-    texCoord2f[] primvars:st = [(0, 0), (1, 0), (0, 1)] ( interpolation = "vertex" )
-    uniform token subdivisionScheme = "none"
-    rel material:binding = </M/M>
-    def Material "M" {{
-        token outputs:surface.connect = <S.outputs:surface>
-        def Shader "S" {{
-            uniform token info:id = "UsdPreviewSurface"
-            color3f inputs:diffuseColor.connect = </M/M/T.outputs:rgb>
-        }}
-        def Shader "T" {{
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @./t.png@
-            token inputs:wrapS = "{wrap}"
-            token inputs:wrapT = "{wrap}"
-            float2 inputs:st.connect = <../X.outputs:result>
-        }}
-        def Shader "X" {{
-            uniform token info:id = "UsdTransform2d"
-            float2 inputs:in.connect = <../R.outputs:result>
-            float inputs:rotation = 90
-            float2 inputs:scale = (2, 3)
-            float2 inputs:translation = (3, 0)
-        }}
-        def Shader "R" {{
-            uniform token info:id = "UsdPrimvarReader_float2"
-            string inputs:varname = "st"
-        }}
-    }}
+        let shaders = format!(
+            r#"def Shader "T" {{
+    uniform token info:id = "UsdUVTexture"
+    asset inputs:file = @./t.png@
+    token inputs:wrapS = "{wrap}"
+    token inputs:wrapT = "{wrap}"
+    float2 inputs:st.connect = <../X.outputs:result>
 }}
-"#
-        )
+def Shader "X" {{
+    uniform token info:id = "UsdTransform2d"
+    float2 inputs:in.connect = <../R.outputs:result>
+    float inputs:rotation = 90
+    float2 inputs:scale = (2, 3)
+    float2 inputs:translation = (3, 0)
+}}
+def Shader "R" {{
+    uniform token info:id = "UsdPrimvarReader_float2"
+    string inputs:varname = "st"
+}}"#
+        );
+        triangle("[(0, 0), (1, 0), (0, 1)]", "color3f inputs:diffuseColor.connect = </M/M/T.outputs:rgb>", &shaders)
     };
     let read_with = |wrap: &str, png: image::DynamicImage| {
         let (folder, path) = folder_with(&scene(wrap));
@@ -232,30 +222,15 @@ def Mesh "M" {{
 #[test]
 fn textures_that_are_left_for_black_are_named() {
     let said = |wrap: &str, uvs: &str| {
-        let (folder, path) = folder_with(&format!(
-            r#"( metersPerUnit = 1 )
-def Mesh "M" {{
-    int[] faceVertexCounts = [3]
-    int[] faceVertexIndices = [0, 1, 2]
-    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
-    texCoord2f[] primvars:st = {uvs} ( interpolation = "vertex" )
-    uniform token subdivisionScheme = "none"
-    rel material:binding = </M/M>
-    def Material "M" {{
-        token outputs:surface.connect = <S.outputs:surface>
-        def Shader "S" {{
-            uniform token info:id = "UsdPreviewSurface"
-            color3f inputs:diffuseColor.connect = <../T.outputs:rgb>
-        }}
-        def Shader "T" {{
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @./t.png@
-            {wrap}
-        }}
-    }}
-}}
-"#
-        ));
+        let shaders = format!(
+            r#"def Shader "T" {{
+    uniform token info:id = "UsdUVTexture"
+    asset inputs:file = @./t.png@
+    {wrap}
+}}"#
+        );
+        let input = "color3f inputs:diffuseColor.connect = <../T.outputs:rgb>";
+        let (folder, path) = folder_with(&triangle(uvs, input, &shaders));
         std::fs::write(folder.path().join("t.png"), black_png(1, 1)).unwrap();
         let notes = read(&path).unwrap().notes;
         let said = "/M: a texture that is black beyond its borders is extended by its edge there instead";

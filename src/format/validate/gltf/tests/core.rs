@@ -423,6 +423,9 @@ fn weights_add_up_but_for_rounding() {
     file.json["skins"][0] = json!({ "joints": [0, 1, 2] });
     give(&mut file, "WEIGHTS_0", ("VEC4", FLOAT), &[0.1, 0.2, 0.7, 0.0]);
     assert_eq!(file.codes(), [""; 0]);
+    give(&mut file, "WEIGHTS_0", ("VEC4", FLOAT), &[0.1, 0.2, 0.71, 0.0]);
+    let said: Vec<String> = file.findings().iter().map(ToString::to_string).collect();
+    assert!(said.len() == 1 && said[0].starts_with("warning SKIN_WEIGHTS: "), "{said:?}");
     for (weights, expected) in [([40000., 25535., 0., 0.], &[][..]), ([40000., 25534., 0., 0.], &["SKIN_WEIGHTS"][..])]
     {
         let weights = give(&mut file, "WEIGHTS_0", ("VEC4", U16), &weights);
@@ -438,6 +441,64 @@ fn matrices_may_mirror_and_scale_unevenly() {
     file.json.as_object_mut().unwrap().remove("animations");
     let matrix = json!([0.866, 0.5, 0, 0, -1.5, 2.5981, 0, 0, 0, 0, -0.01, 0, 5, 6, 7, 1]);
     surface_node(&mut file)["matrix"] = matrix;
+    assert_eq!(file.codes(), [""; 0]);
+}
+
+/// Small axes that are rounded to five digits, as of a model in centimetres.
+#[test]
+fn small_matrices_may_be_rounded_and_flat_ones_are_warned_of() {
+    let mut file = everything();
+    file.json.as_object_mut().unwrap().remove("animations");
+    surface_node(&mut file)["matrix"] =
+        json!([0.00867, 0.005, 0, 0, -0.005, 0.00866, 0, 0, 0.00002, 0, 0.01, 0, 0, 0, 0, 1]);
+    assert_eq!(file.codes(), [""; 0]);
+    surface_node(&mut file)["matrix"] = json!([1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+    let said: Vec<String> = file.findings().iter().map(ToString::to_string).collect();
+    // The other is of the splats below.
+    let starts = ["warning NODE_MATRIX: ", "warning SPLAT_FLAT: "];
+    assert!(said.len() == 2 && said.iter().zip(starts).all(|(said, start)| said.starts_with(start)), "{said:?}");
+}
+
+/// The specification restricts the first set of colours alone.
+#[test]
+fn further_colours_may_be_of_any_value() {
+    let mut file = everything();
+    give(&mut file, "COLOR_0", ("VEC3", FLOAT), &[0., 1., 0.]);
+    give(&mut file, "COLOR_1", ("VEC3", FLOAT), &[0., 3., 0.]);
+    assert_eq!(file.codes(), [""; 0]);
+}
+
+#[test]
+fn media_types_are_of_any_case() {
+    let mut file = everything();
+    file.json["buffers"][0]["uri"] = json!("data:Application/Octet-Stream;base64,AAAA");
+    assert!(!file.codes().contains(&"BUFFER_TYPE"), "{:?}", file.codes());
+}
+
+/// Of images, indices, attributes and matrices of skins a view holds one kind; of other data it may hold several.
+#[test]
+fn keys_and_sparse_elements_may_share_a_view() {
+    let mut file = everything();
+    let times = file.json["animations"][0]["samplers"][0]["input"].as_u64().unwrap() as usize;
+    let view = file.json["accessors"][times]["bufferView"].clone();
+    let part = json!({ "bufferView": view, "componentType": U16 });
+    let sparse = json!({ "count": 1, "indices": part, "values": { "bufferView": view } });
+    file.json["accessors"][times]["sparse"] = sparse;
+    assert!(!file.codes().contains(&"VIEW_DATA"), "{:?}", file.codes());
+}
+
+/// What an extension provides is there, though it is not stored.
+#[test]
+fn joints_and_weights_may_be_compressed() {
+    let mut file = everything();
+    skinned(&mut file, 0.0, 1.0);
+    declare(&mut file, "KHR_draco_mesh_compression");
+    let compressed = json!({ "bufferView": 0, "attributes": { "JOINTS_0": 0, "WEIGHTS_0": 1 } });
+    primitive(&mut file, SURFACE)["extensions"]["KHR_draco_mesh_compression"] = compressed;
+    for name in ["JOINTS_0", "WEIGHTS_0"] {
+        let accessor = file.attribute(SURFACE, name);
+        file.json["accessors"][accessor].as_object_mut().unwrap().remove("bufferView");
+    }
     assert_eq!(file.codes(), [""; 0]);
 }
 

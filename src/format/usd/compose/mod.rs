@@ -5,14 +5,16 @@
 //! those to which arcs of the prim lead, [`Composer::select`] the selected variants, and [`Composer::child`] goes on to
 //! a prim below. The prim is then what these places say, the strongest first.
 
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
-use std::rc::Rc;
+mod node;
+mod opinion;
+mod weight;
 
-use super::document::{
-    Entry, Field, Layer, ListEdit, Prim, Property, PropertyKind, Specifier, Targets, Value, Variant, field,
-    split_property,
-};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use self::node::{Kind, Node, PrimPath, SELECTION, SETS, items, resolved};
+use self::opinion::{blank, opinions, specifier};
+use self::weight::weight;
+use super::document::{Field, Layer, ListEdit, Prim, Value, Variant, field};
 use crate::format::error::Fault;
 
 /// Metadata that may refer to other layers. What still has them after composition does.
@@ -25,10 +27,6 @@ const ARCS: [(&str, Kind); 4] = [
     ("payload", Kind::Payload),
     ("specializes", Kind::Specialize),
 ];
-
-/// Metadata with the selected variants, and with the names of the sets, the strongest first.
-const SELECTION: &str = "variants";
-const SETS: &str = "variantSets";
 
 /// Bytes of prims allowed per byte of the layer's prims, beyond the amount allowed for any layer (`ALWAYS`). References
 /// to what refers to others multiply memory; real files stay far below.
@@ -48,45 +46,6 @@ const MAX_DEPTH: usize = 200;
 /// Reasons for which arcs are not followed.
 const CIRCLE: &str = "an arc that leads back to its own prim, or through too many others, is not followed";
 const ASTRAY: &str = "a reference to a prim that is not in the layer is not followed";
-
-/// Path of a prim, as names from the root.
-type PrimPath<'a> = Vec<&'a str>;
-
-/// How a place comes to say something about a prim; the strongest first.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Kind {
-    Local,
-    Inherit,
-    Variant,
-    Reference,
-    Payload,
-    Specialize,
-}
-
-/// Place in the layer that says something about a prim, and the places to which arcs from there, or from above, lead.
-struct Node<'a> {
-    kind: Kind,
-    /// What the place says; `None` if it only has arcs.
-    prim: Option<&'a Prim>,
-    path: PrimPath<'a>,
-    /// Where the arc leads, and where it starts: targets below the former become targets below the latter.
-    map: Option<Rc<(PrimPath<'a>, PrimPath<'a>)>>,
-    /// Length of the path at which the arc starts: that of the node above, or less if it starts above.
-    depth: usize,
-    /// Variant sets of the prim of which a variant has been added.
-    sets: Vec<&'a str>,
-    nodes: Vec<Node<'a>>,
-}
-
-/// What a place says about a prim.
-struct Opinion<'t, 'a> {
-    node: &'t Node<'a>,
-    prim: &'a Prim,
-    /// Maps of the arcs between the place and the prim, from the place.
-    maps: Vec<&'t (PrimPath<'a>, PrimPath<'a>)>,
-    /// Whether the prim itself inherits it, instead of one above.
-    is_inherited: bool,
-}
 
 /// Follows the arcs of a layer; also returns notes on those within the layer that cannot be followed.
 ///
@@ -149,24 +108,6 @@ fn arcs<'a>(prim: &'a Prim, from: &[&'a str], default: &[&'a str]) -> Vec<(Kind,
     found
 }
 
-/// Items of a list, or a single one.
-fn items(value: &Value) -> &[Value] {
-    if let Value::List(all) = value { all } else { std::slice::from_ref(value) }
-}
-
-/// Path of the prim at `path`, which may be relative to the prim at `from`.
-fn resolved<'a>(from: &[&'a str], path: &'a str) -> PrimPath<'a> {
-    let mut names = if path.starts_with('/') { vec![] } else { from.to_vec() };
-    for name in path.split('/').filter(|name| !matches!(*name, "" | ".")) {
-        if name == ".." {
-            names.pop();
-        } else {
-            names.push(name);
-        }
-    }
-    names
-}
-
 /// Whether an arc to `target` from the last of `chain`, each of which led to the next, leads back: a prim would be
 /// below itself.
 fn leads_back(target: &[&str], chain: &[PrimPath<'_>]) -> bool {
@@ -180,203 +121,6 @@ fn shown(path: &[&str]) -> String {
     let text: String = path.iter().flat_map(|name| ["/", *name]).collect();
     let surplus = text.chars().count().saturating_sub(MOST);
     if surplus == 0 { text } else { format!("…{}", text.chars().skip(surplus).collect::<String>()) }
-}
-
-impl<'a> Node<'a> {
-    fn new(prim: &'a Prim, path: PrimPath<'a>) -> Self {
-        let depth = path.len();
-        Self { kind: Kind::Local, prim: Some(prim), path, map: None, depth, sets: vec![], nodes: vec![] }
-    }
-
-    /// The node as the end of an arc from the prim at `from`.
-    fn reached_by(self, kind: Kind, from: PrimPath<'a>) -> Self {
-        let depth = from.len();
-        Self { kind, depth, map: Some(Rc::new((self.path.clone(), from))), ..self }
-    }
-
-    /// Sorts the nodes below by strength: among arcs of one kind, those that start further down come first.
-    fn sort(&mut self) {
-        self.nodes.sort_by_key(|node| (node.kind, Reverse(node.depth)));
-    }
-
-    /// Whether the arc to `node`, below this one, starts at the prim itself, not at one above.
-    fn states(&self, node: &Self) -> bool {
-        node.depth == self.path.len()
-    }
-
-    /// Whether arcs start at the prim itself.
-    fn has_arcs(&self) -> bool {
-        self.nodes.iter().any(|node| self.states(node) || node.has_arcs())
-    }
-
-    /// Keeps of what is said about the prims below an instance what its own arcs lead to: USD ignores the rest.
-    fn leave_to_arcs(&mut self) {
-        self.prim = None;
-        let depth = self.path.len();
-        self.nodes.iter_mut().filter(|node| node.depth < depth).for_each(Self::leave_to_arcs);
-    }
-
-    /// Whether the place is a variant of the prim itself, which has no specifier, not something below one.
-    fn is_variant(&self) -> bool {
-        self.kind == Kind::Variant && self.depth == self.path.len()
-    }
-
-    fn has_variants(&self) -> bool {
-        self.prim.is_some_and(|prim| !prim.variants.is_empty()) || self.nodes.iter().any(Self::has_variants)
-    }
-
-    /// Adds the variants that are selected, by set, and returns the number of nodes; the strongest selection counts.
-    fn selections(&self, chosen: &mut HashMap<&'a str, &'a str>) -> usize {
-        for field in self.prim.into_iter().flat_map(|prim| &prim.metadata).filter(|field| field.name == SELECTION) {
-            let Value::Dictionary(entries) = &field.value else { continue };
-            for entry in entries {
-                if let Some(name) = entry.value.as_text() {
-                    chosen.entry(&entry.key).or_insert(name);
-                }
-            }
-        }
-        1 + self.nodes.iter().map(|node| node.selections(chosen)).sum::<usize>()
-    }
-
-    /// The selected variant of the strongest set that is still to be added.
-    fn next_variant(&self, chosen: &HashMap<&'a str, &'a str>) -> Option<&'a Variant> {
-        let prim = self.prim?;
-        let names = field(&prim.metadata, SETS).map_or(&[][..], items);
-        let known: HashSet<&str> = self.sets.iter().copied().collect();
-        let mut places = HashMap::new();
-        for (place, name) in names.iter().filter_map(Value::as_text).enumerate() {
-            places.entry(name).or_insert(place);
-        }
-        let is_next = |variant: &&Variant| {
-            let set = variant.set.as_str();
-            chosen.get(set) == Some(&variant.name.as_str()) && !known.contains(set)
-        };
-        let place = |variant: &&Variant| places.get(variant.set.as_str()).copied().unwrap_or(names.len());
-        prim.variants.iter().filter(is_next).min_by_key(place)
-    }
-}
-
-/// What is said about the prim of a tree, the strongest first. What is specialised is weaker than all else.
-fn opinions<'t, 'a>(root: &'t Node<'a>) -> Vec<Opinion<'t, 'a>> {
-    let mut all = vec![];
-    let mut waiting = VecDeque::from([(root, vec![], false)]);
-    while let Some((node, maps, is_inherited)) = waiting.pop_front() {
-        collect(node, maps, is_inherited, &mut all, &mut waiting);
-    }
-    all
-}
-
-/// Nodes whose opinions come last, with the fields of an [`Opinion`].
-type Waiting<'t, 'a> = VecDeque<(&'t Node<'a>, Vec<&'t (PrimPath<'a>, PrimPath<'a>)>, bool)>;
-
-fn collect<'t, 'a>(
-    node: &'t Node<'a>,
-    maps: Vec<&'t (PrimPath<'a>, PrimPath<'a>)>,
-    is_inherited: bool,
-    all: &mut Vec<Opinion<'t, 'a>>,
-    waiting: &mut Waiting<'t, 'a>,
-) {
-    let below = maps.clone();
-    if let Some(prim) = node.prim {
-        all.push(Opinion { node, prim, maps, is_inherited });
-    }
-    for inner in &node.nodes {
-        let maps = inner.map.as_deref().into_iter().chain(below.iter().copied()).collect();
-        let is_inherited = is_inherited || inner.kind == Kind::Inherit && node.states(inner);
-        if inner.kind == Kind::Specialize {
-            waiting.push_back((inner, maps, is_inherited));
-        } else {
-            collect(inner, maps, is_inherited, all, waiting);
-        }
-    }
-}
-
-/// Specifier of a composed prim: that of the strongest opinion that defines it, of which a class that it inherits is
-/// the weakest.
-fn specifier(opinions: &[Opinion<'_, '_>]) -> Specifier {
-    let defining = || {
-        let all = opinions.iter().filter(|opinion| !opinion.node.is_variant());
-        all.filter(|opinion| opinion.prim.specifier != Specifier::Over)
-    };
-    let own = defining().find(|opinion| !(opinion.is_inherited && opinion.prim.specifier == Specifier::Class));
-    own.or_else(|| defining().next()).map_or(Specifier::Over, |opinion| opinion.prim.specifier)
-}
-
-impl Opinion<'_, '_> {
-    /// Path as the composed prim has it, of a prim or property.
-    fn moved(&self, path: &str) -> String {
-        if self.maps.is_empty() {
-            return path.to_owned();
-        }
-        let (prim, property) = split_property(path);
-        let mut names = resolved(&self.node.path, prim);
-        for (target, start) in &self.maps {
-            if names.starts_with(target) {
-                names = [&start[..], &names[target.len()..]].concat();
-            }
-        }
-        let dot = if property.is_empty() { "" } else { "." };
-        names.iter().flat_map(|name| ["/", *name]).chain([dot, property]).collect()
-    }
-
-    fn targets(&self, stated: Option<&Targets>) -> Option<Targets> {
-        let Targets { edit, paths } = stated?;
-        Some(Targets { edit: *edit, paths: paths.iter().map(|path| self.moved(path)).collect() })
-    }
-
-    /// Puts the targets that this opinion states over those of all weaker ones: edits of lists are no list until the
-    /// weakest has been read.
-    fn put_targets(&self, property: &mut Property, stated: &Property) {
-        let (weaker, own) = match (&mut property.kind, &stated.kind) {
-            (PropertyKind::Attribute { connections, .. }, PropertyKind::Attribute { connections: own, .. }) => {
-                (connections, own)
-            }
-            (PropertyKind::Relationship { targets }, PropertyKind::Relationship { targets: own }) => (targets, own),
-            _ => return,
-        };
-        *weaker = match (self.targets(own.as_ref()), weaker.take()) {
-            (Some(own), Some(weaker)) => Some(own.over(weaker)),
-            (own, weaker) => own.or(weaker),
-        };
-    }
-
-    /// Adds to a property, of which stronger opinions said the rest, what this one says, but for targets.
-    fn add_to(&self, property: &mut Property, stated: &Property) {
-        let is_animated = property.has_spline();
-        let has_value = match (&mut property.kind, &stated.kind) {
-            (
-                PropertyKind::Attribute { value, samples, .. },
-                PropertyKind::Attribute { value: weaker, samples: weaker_samples, .. },
-            ) => {
-                // Samples and default are one opinion.
-                let has_value = value.is_some() || !samples.is_empty() || is_animated;
-                if !has_value {
-                    value.clone_from(weaker);
-                    samples.clone_from(weaker_samples);
-                }
-                has_value
-            }
-            (PropertyKind::Relationship { .. }, PropertyKind::Relationship { .. }) => false,
-            // An attribute and a relationship of one name: the stronger stays.
-            _ => return,
-        };
-        let known: HashSet<&str> = property.metadata.iter().map(|field| field.name.as_str()).collect();
-        let is_new =
-            |field: &&Field| !(known.contains(field.name.as_str()) || has_value && field.name == Property::SPLINE);
-        let fields: Vec<Field> = stated.metadata.iter().filter(is_new).cloned().collect();
-        property.metadata.extend(fields);
-    }
-}
-
-/// Property of this name and kind of which nothing is known yet.
-fn blank(stated: &Property) -> Property {
-    let kind = match &stated.kind {
-        PropertyKind::Attribute { type_name, .. } => {
-            PropertyKind::Attribute { type_name: type_name.clone(), value: None, samples: vec![], connections: None }
-        }
-        PropertyKind::Relationship { .. } => PropertyKind::Relationship { targets: None },
-    };
-    Property { name: stated.name.clone(), custom: stated.custom, uniform: stated.uniform, kind, metadata: vec![] }
 }
 
 struct Composer<'a> {
@@ -671,46 +415,4 @@ fn implied<'a>(node: &Node<'a>) -> Vec<PrimPath<'a>> {
 
 fn is_of_composition(name: &str) -> bool {
     [SELECTION, SETS].contains(&name) || ARCS.iter().any(|(arc, _)| *arc == name)
-}
-
-/// Memory of a prim without those below and without variants, in bytes, if its targets become longer by up to `longer`
-/// bytes.
-fn weight(prim: &Prim, longer: usize) -> usize {
-    let of_targets = |targets: &Option<Targets>| {
-        let paths = targets.iter().flat_map(|targets| &targets.paths);
-        paths.map(|path| size_of::<String>() + path.len() + longer).sum::<usize>()
-    };
-    let of_property = |property: &Property| {
-        let of_kind = match &property.kind {
-            PropertyKind::Attribute { type_name, value, samples, connections } => {
-                let values = value.iter().chain(samples.iter().map(|(_, value)| value));
-                type_name.len() + values.map(weight_of_value).sum::<usize>() + of_targets(connections)
-            }
-            PropertyKind::Relationship { targets } => of_targets(targets),
-        };
-        size_of::<Property>() + property.name.len() + of_kind + weight_of_fields(&property.metadata)
-    };
-    let properties: usize = prim.properties.iter().map(of_property).sum();
-    size_of::<Prim>() + prim.name.len() + properties + weight_of_fields(&prim.metadata)
-}
-
-fn weight_of_fields(fields: &[Field]) -> usize {
-    fields.iter().map(|field| size_of::<Field>() + field.name.len() + weight_of_value(&field.value)).sum()
-}
-
-fn weight_of_value(value: &Value) -> usize {
-    let content = match value {
-        Value::Blocked | Value::Number(_) => 0,
-        Value::Floats(all) => size_of_val(&all[..]),
-        Value::Doubles(all) => size_of_val(&all[..]),
-        Value::Integers(all) => size_of_val(&all[..]),
-        Value::Text(text) | Value::Asset(text) | Value::Path(text) => text.len(),
-        Value::Reference(asset, path) => asset.len() + path.len(),
-        Value::List(all) | Value::Tuple(all) => all.iter().map(weight_of_value).sum(),
-        Value::Dictionary(entries) => {
-            let of_entry = |e: &Entry| size_of::<Entry>() + e.type_name.len() + e.key.len() + weight_of_value(&e.value);
-            entries.iter().map(of_entry).sum()
-        }
-    };
-    size_of::<Value>() + content
 }
